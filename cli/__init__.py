@@ -1,5 +1,8 @@
 """The command line. A command imports heavy libraries when it is called."""
 
-from .main import main
+from karolos.experiment.interrupt import BriefInterrupt
+
+with BriefInterrupt():
+    from .main import main
 
 __all__ = ["main"]

@@ -12,6 +12,7 @@ import typer
 
 from karolos.errors import UsageError
 
+from .completion import complete_override, complete_policy, complete_policy_or_spec, complete_run, complete_spec
 from .output import say, warn
 
 if TYPE_CHECKING:
@@ -48,27 +49,39 @@ Database = Annotated[
     ),
 ]
 SpecFile = Annotated[
-    Path, typer.Argument(metavar="SPEC", help="A YAML spec, or the name of one that ships: see `karolos spec list`.")
+    Path,
+    typer.Argument(
+        metavar="SPEC",
+        help="A YAML spec, or the name of one that ships: see `karolos spec list`.",
+        autocompletion=complete_spec,
+    ),
 ]
 Overrides = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[PATH=VALUE]...",
         help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
+        autocompletion=complete_override,
     ),
 ]
-OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP)]
-APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP)]
-PolicyOrSpec = Annotated[str, typer.Argument(metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.")]
+OneRun = Annotated[str, typer.Argument(metavar="RUN", help=RUN_HELP, autocompletion=complete_run)]
+APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP, autocompletion=complete_policy)]
+PolicyOrSpec = Annotated[
+    str,
+    typer.Argument(
+        metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_policy_or_spec
+    ),
+]
 Changes = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[PATH=VALUE]...",
         help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or parameters "
         "of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
+        autocompletion=complete_override,
     ),
 ]
-ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP)]
+ManyRuns = Annotated[list[str] | None, typer.Argument(metavar="[RUN]...", help=MANY_HELP, autocompletion=complete_run)]
 Where = Annotated[str | None, typer.Option(metavar="FILTER", help=FILTER_HELP)]
 On = Annotated[
     str | None,

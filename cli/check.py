@@ -12,6 +12,7 @@ import typer
 from karolos.errors import KarolosError, Problem, SpecError, UsageError
 
 from .arguments import Json, Runs
+from .completion import complete_spec
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ def check(
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
             help="YAML specs to check, and settings that replace those of every spec.",
+            autocompletion=complete_spec,
         ),
     ],
     runs: Runs = Path("runs"),
@@ -31,8 +33,8 @@ def check(
 ) -> None:
     """Check specs and suites, and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a valid spec are created once to see whether they fit together, and those of each variant of a
-    transfer and of each spec of a suite. Nothing is trained.
+    The parts of a valid spec are created once to see whether they fit together, and the environment makes its first
+    steps; so do those of each variant of a transfer and of each spec of a suite. Nothing is trained.
     Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
     """
     from karolos.specification import load_spec

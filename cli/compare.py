@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from contextlib import nullcontext, suppress
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
 
@@ -11,6 +12,7 @@ import typer
 from karolos.errors import NoSuchRunError, UsageError
 
 from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_store
+from .completion import complete_policy
 from .output import check_folder, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -27,6 +29,7 @@ def compare(
         typer.Argument(
             metavar="EXPERIMENT...",
             help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
+            autocompletion=complete_policy,
         ),
     ],
     runs: Runs = Path("runs"),
@@ -60,6 +63,22 @@ def compare(
             "figures as SVG, PDF and PNG. May be repeated.",
         ),
     ] = None,
+    table: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="FILE.tex|FILE.csv",
+            help="Write the numbers as a LaTeX table (package booktabs), or as CSV with a row for each experiment. "
+            "May be repeated.",
+        ),
+    ] = None,
+    figure: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME",
+            help="Draw only this figure: steps, time, final, profiles, densities, measures, settings, or the name of a "
+            "file in the folder, such as measure_peak_force. May be repeated.",
+        ),
+    ] = None,
     width: Annotated[float, typer.Option(min=1, max=40, help="Width of a figure in the folder, in inches.")] = 4.8,
     font: Annotated[float, typer.Option(min=2, max=60, help="Size of the text in these figures, in points.")] = 9,
 ) -> None:
@@ -70,8 +89,14 @@ def compare(
     folders = [path for path in out or () if path.suffix != ".html"]
     for folder in folders:
         check_folder(folder, "a file that ends in .html, or a folder")
-    for page in pages:
-        check_file(page)
+    for path in table or ():
+        if path.suffix not in (".tex", ".csv"):
+            hint = "name a file that ends in .tex or .csv"
+            raise UsageError(f"cannot write a table into {path.name!r}", where="--table", hint=hint)
+    if figure and not out:
+        raise UsageError("nothing is drawn", where="--figure", hint="name a page or a folder with --out")
+    for file in (*pages, *(table or ())):
+        check_file(file)
     with open_store(runs, database) or nullcontext() as store:
         selected = [_runs_of(selector, store, runs) for selector in experiments]
         labels = _labels(label, experiments, [found for _, found in selected])
@@ -83,19 +108,24 @@ def compare(
         print_rows(comparison.rows(), json=True)
     else:
         _print_comparison(comparison)
+    from karolos.files import write_whole
+    from karolos.report.comparison_tables import comparison_file
+
+    for path in table or ():
+        write_whole(path, comparison_file(comparison, path.suffix))
+        say(f"wrote {path}")
     if not out:
         return
-    from karolos.files import write_whole
     from karolos.report.comparison_figures import comparison_figures
     from karolos.report.figures import write_figures
     from karolos.report.page import comparison_page
 
-    drawings = comparison_figures(comparison)
+    drawings = comparison_figures(comparison, figure or ())
     for path in pages:
         write_whole(path, comparison_page(comparison, drawings))
         say(f"wrote {path}")
     for folder in folders:
-        files = write_figures(drawings, folder, width=width, font=font)
+        files = write_figures([*chain(*drawings.values())], folder, width=width, font=font)
         say(f"wrote {len(files)} files into {folder}")
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from .arguments import Database, Json, Runs, open_run
+from .completion import complete_run
 from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
@@ -17,8 +18,8 @@ _HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what 
 
 
 def diff(
-    a: Annotated[str, typer.Argument(metavar="A", help=_HELP)],
-    b: Annotated[str, typer.Argument(metavar="B", help="As A.")],
+    a: Annotated[str, typer.Argument(metavar="A", help=_HELP, autocompletion=complete_run)],
+    b: Annotated[str, typer.Argument(metavar="B", help="As A.", autocompletion=complete_run)],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,

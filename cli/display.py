@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from collections import defaultdict, deque
 from collections.abc import Sequence
 from contextlib import AbstractContextManager
@@ -33,6 +34,8 @@ if TYPE_CHECKING:
 
 SWEEP_SPEED_SECONDS = 600.0
 """Seconds over which the speed of a sweep is averaged for the time left."""
+PLAIN_SECONDS = 5.0
+"""Time after which a run has another line where there is no terminal."""
 SPEED_WINDOW = 50
 """Events over which speeds are averaged: about five seconds."""
 
@@ -68,19 +71,29 @@ class Quiet(AbstractContextManager[Any]):
 
 
 class Plain(Quiet):
-    """Shows one line per start of a run, test and end of a run: for logs and pipes."""
+    """Shows one line per start of a run, test and end of a run, and how far it is meanwhile: for logs and pipes."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
         self._points: dict[str, list[RunAdvanced]] = {}
         """Of each run where training was at the line before, and where it is."""
+        self._steps: dict[str, int] = {}
+        """Of each run how many steps are asked for."""
+        self._said: dict[str, float] = {}
+        """When each run had a line."""
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
             self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
-        elif isinstance(event, RunAdvanced):
-            self._points[event.run] = [*self._points.get(event.run, [event])[:1], event]
+            self._steps[event.run] = event.steps
+        elif isinstance(event, RunAdvanced | RunBusy):
+            if isinstance(event, RunAdvanced):
+                self._points[event.run] = [*self._points.get(event.run, [event])[:1], event]
+            if time.monotonic() - self._said.setdefault(event.run, time.monotonic()) < PLAIN_SECONDS:
+                return
+            self._print(self._progress(event))
+            self._points[event.run] = self._points.get(event.run, [])[-1:]
         elif isinstance(event, RunTested):
             result, points = event.result, self._points.get(event.run, [])
             line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {result.score}"
@@ -90,6 +103,16 @@ class Plain(Quiet):
             self._print(f"{event.run} final test: {_final(event.final)}")
         elif isinstance(event, RunEnded) and not event.error:
             self._print(f"{event.run} {event.state}")
+        if isinstance(event, RunEvent):
+            self._said[event.run] = time.monotonic()
+
+    def _progress(self, event: RunAdvanced | RunBusy) -> str:
+        """How far a run is, how fast, and what it does beside training."""
+        points = self._points.get(event.run, [])
+        steps, seconds = (points[-1].steps, points[-1].seconds) if points else (0, 0.0)
+        doing = _activity(event) if isinstance(event, RunBusy) else _speed(points)
+        line = f"{event.run} at {steps:,} of {self._steps.get(event.run, 0):,} steps, {seconds:.1f} s"
+        return f"{line} ({doing})" if doing else line
 
 
 class Live(Quiet):

@@ -10,6 +10,7 @@ import typer
 from karolos.errors import MachineError, UsageError
 
 from .arguments import Json
+from .completion import complete_plugin
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
@@ -26,7 +27,7 @@ Size = Annotated[int, typer.Option(min=16, max=2048, help="Size of the picture i
 
 @app.command()
 def robot(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a robot.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_plugin("robots"))],
     out: Out = None,
     width: Size = 960,
     height: Size = 720,
@@ -41,7 +42,7 @@ def robot(
 
 @app.command()
 def gripper(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a gripper.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_plugin("grippers"))],
     out: Out = None,
     width: Size = 960,
     height: Size = 720,
@@ -56,10 +57,10 @@ def gripper(
 
 @app.command()
 def task(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a task.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_plugin("tasks"))],
     robot: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Robot to show the task with."),
+        typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robots")),
     ] = "panda",
     out: Out = None,
     width: Size = 960,

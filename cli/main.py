@@ -9,6 +9,7 @@ import signal
 import sys
 import traceback
 import warnings
+from types import ModuleType
 from typing import Annotated, Any
 
 import typer
@@ -57,7 +58,7 @@ class Commands(TyperGroup):
         except typer.BadParameter as error:
             error.message = error.message.removeprefix("Value error, ")  # of the library that reads the options
             raise
-        except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment
+        except KeyboardInterrupt:  # of a second Ctrl-C, or of an environment; typer would print "Aborted!"
             say("interrupted")
             raise typer.Exit(128 + signal.SIGINT) from None
 
@@ -70,10 +71,18 @@ app = typer.Typer(
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
 )
-for command in (run, resume, check, sweep, suite, compare, diff, zero_shot, transfer, play, export, board, ui):
-    app.command("test" if command is zero_shot else None)(command)
-for group in (spec, plugins, inspect, runs, db, sweeps):
-    app.add_typer(group.app, cls=Commands)
+for panel, parts in {
+    "Train": (spec, check, run, resume, sweep, suite, transfer),
+    "Look": (runs, sweeps, play, ui, board),
+    "Compare": (compare, diff, zero_shot),
+    "Extend": (plugins, inspect),
+    "Keep": (export, db),
+}.items():
+    for part in parts:
+        if isinstance(part, ModuleType):
+            app.add_typer(part.app, cls=Commands, rich_help_panel=panel)
+        else:
+            app.command("test" if part is zero_shot else None, rich_help_panel=panel)(part)
 
 
 def _print_version(asked: bool) -> None:
@@ -102,6 +111,9 @@ def main() -> None:
             app()
         finally:
             sys.stdout.flush()
+    except KeyboardInterrupt:  # before a command is called
+        say("interrupted")
+        sys.exit(128 + signal.SIGINT)
     except OSError as error:
         if error.filename is not None or error.errno not in (errno.ENOSPC, errno.EDQUOT, errno.EIO, errno.EPIPE):
             raise

@@ -1,19 +1,17 @@
-"""How commands print: rows as JSON, CSV or a table on stdout, and lines for a person on stderr."""
+"""How commands print: rows as JSON or a table on stdout, and lines for a person on stderr."""
 
 from __future__ import annotations
 
-import csv
 import json as json_text
-import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import typer
 
 from karolos.errors import UsageError
-from karolos.report.tables import Table, clean
+from karolos.report.tables import Table, clean, finite
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -59,7 +57,7 @@ def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "")
     """
     if json or line:
         for row in rows:
-            text = json_text.dumps(_finite(row), allow_nan=False, default=str) if json else clean(line.format_map(row))
+            text = json_text.dumps(finite(row), allow_nan=False, default=str) if json else clean(line.format_map(row))
             print(text, flush=True)
         return
     listed = list(rows)
@@ -93,17 +91,6 @@ def check_folder(path: Path, allowed: str) -> None:
     if path.suffix and not path.is_dir():
         hint = f"name {allowed}; a folder with a dot in its name has to be there"
         raise UsageError(f"cannot write figures into {path.name!r}", where="--out", hint=hint)
-
-
-def print_csv(rows: Sequence[Mapping[str, Any]]) -> None:
-    """Print rows as comma-separated values under their names; a list is one cell.
-
-    A text that a spreadsheet would take for a formula gets an apostrophe in front (OWASP, CSV injection).
-    """
-    if rows:
-        writer = csv.writer(sys.stdout, lineterminator="\n")
-        writer.writerow(rows[0])
-        writer.writerows([_csv_cell(value) for value in row.values()] for row in rows)
 
 
 def print_table(table: Table) -> None:
@@ -173,28 +160,6 @@ def rich_table(table: Table) -> RichTable:
             )
         )
     return drawn
-
-
-def _finite(value: Any) -> Any:
-    """The value with null for numbers that JSON lacks: nan and the infinities."""
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _finite(entry) for key, entry in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(entry) for entry in value]
-    return value
-
-
-def _csv_cell(value: Any) -> object:
-    if isinstance(value, list | tuple):
-        value = "; ".join(map(str, value))
-    if isinstance(value, Mapping):
-        return json_text.dumps(_finite(value))
-    if not isinstance(value, str):
-        return value
-    text = clean(value, allowed="\n")
-    return f"'{text}" if text.startswith(("=", "+", "-", "@")) else text
 
 
 def drawn_text(trial: Trial) -> str:

@@ -11,7 +11,8 @@ from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
-from .output import print_line, print_rows, print_table, say
+from .completion import complete_kind, complete_plugin_of_kind
+from .output import print_line, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -24,24 +25,30 @@ app = typer.Typer(
 )
 Kind = Annotated[
     str,
-    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ..."),
+    typer.Argument(metavar="KIND", help="robot, task, environment, agent, buffer, ...", autocompletion=complete_kind),
 ]
 Name = Annotated[
     str,
-    typer.Argument(metavar="NAME", help="The name that a spec uses."),
+    typer.Argument(metavar="NAME", help="The name that a spec uses.", autocompletion=complete_plugin_of_kind),
 ]
 
 
 @app.command("list")
 def list_plugins(
     kind: Annotated[
-        str | None, typer.Argument(metavar="[KIND]", help="Only this kind: robot, task, agent, ...")
+        str | None,
+        typer.Argument(metavar="[KIND]", help="Only this kind: robot, ...", autocompletion=complete_kind),
     ] = None,
     json: Json = False,
 ) -> None:
     """List the installed plugins and their distributions. No plugin is imported."""
-    from karolos.registry import KINDS, entries, singular
+    from karolos.records.provenance import sources
+    from karolos.registry import KINDS, entries, singular, unreadable
 
+    unread = list(unreadable())
+    sources(unread=unread)
+    for problem in unread:
+        warn(f"{problem}; it does not count")
     fields = ("name", "distribution", "version", "target")
     rows = [
         {"kind": singular(entry.kind), **{field: getattr(entry, field) for field in fields}}

@@ -97,8 +97,15 @@ def _detach(log: Path) -> NoReturn:
     raise typer.Exit
 
 
+More = Annotated[
+    list[str] | None,
+    typer.Argument(metavar="[PATH=VALUE]...", help="More steps for a finished run: training.steps=50000."),
+]
+
+
 def resume(
     run: OneRun,
+    overrides: More = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     time_limit: TimeLimit = None,
@@ -107,7 +114,8 @@ def resume(
 ) -> None:
     """Resume a run that was stopped, failed or killed, from its newest checkpoint.
 
-    On the CPU and in lockstep the result is bit for bit that of a run without the interruption.
+    On the CPU and in lockstep the result is bit for bit that of a run without the interruption. With
+    training.steps=... a finished run goes on for more steps, as a run of its own that begins where that one ended.
     """
     from karolos.launchers.experiment import resume_run
     from karolos.store import Store
@@ -116,11 +124,15 @@ def resume(
 
     folder = open_run(run, runs, database)
     home = folder.path.resolve().parent
-    if folder.state().state == "finished" and not quiet:
-        say(f"{folder.id} is finished: nothing to do")
+    if folder.state().state == "finished" and not overrides and not quiet:
+        say(f"{folder.id} is finished: nothing to do; training.steps=... goes on from its end")
     with choose_display(quiet=quiet) as display:
         outcome = resume_run(
-            folder, database or Store.default_url(home), time_limit=seconds(time_limit), listener=display
+            folder,
+            database or Store.default_url(home),
+            overrides or (),
+            time_limit=seconds(time_limit),
+            listener=display,
         )
     report(outcome, home, quiet=quiet, json=json)
 

@@ -17,6 +17,7 @@ from karolos.errors import UsageError
 from karolos.files import writing
 from karolos.report.tables import (
     Table,
+    csv_text,
     duration,
     facts_table,
     measures_table,
@@ -41,7 +42,8 @@ from .arguments import (
     open_store,
     select_runs,
 )
-from .output import print_csv, print_rows, print_table, say, warn
+from .completion import complete_folder, complete_run, complete_tag
+from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
@@ -55,7 +57,7 @@ app = typer.Typer(
 )
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
-LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP)]
+LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
 
 
 @app.command("list")
@@ -114,7 +116,7 @@ def list_runs(
             say(nothing if where is None else "no runs match the filter")
         listed, rows = _rows(store, found, columns, sort, group=group)
     if csv:
-        print_csv(rows)
+        print(csv_text(rows), end="")
     elif json or group or columns is not None:
         print_rows(rows, json=json)
     elif rows:
@@ -147,11 +149,11 @@ def _rows(
 
 
 def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
-    """One row per experiment: its runs and states; of one run per seed, the means over those that have a result.
+    """One row per experiment: its runs and states; of one finished run per seed, the means over those with a result.
 
     `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
     """
-    from karolos.comparison import one_per_seed, repeated
+    from karolos.comparison import averaged, name_of, repeated
     from karolos.statistics.reaching import median_reaching
 
     groups: dict[str, list[RunSummary]] = {}
@@ -159,15 +161,16 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
         groups.setdefault(run.experiment, []).append(run)
     rows = []
     for experiment, members in groups.items():
-        for warning in repeated(members[0].name, members):
+        name = name_of(members)
+        seeds, left_out = averaged(members)
+        for warning in (*repeated(name, members), *([f"{name}: {left_out}"] if left_out else ())):
             warn(warning)
         states = Counter(run.state for run in members)
-        row = {"name": members[0].name, "experiment": experiment[:12], "runs": len(members)}
+        row = {"name": name, "experiment": experiment[:12], "runs": len(members)}
         row |= {"states": ", ".join(f"{count} {state}" for state, count in states.items())}
-        seeds = one_per_seed(members).values()
-        for name in ("steps", "seconds", "success_end", "best_end", "mean_return"):
-            known = [value for run in seeds if (value := getattr(run, name)) is not None]
-            row[name] = fmean(known) if known else None
+        for key in ("steps", "seconds", "success_end", "best_end", "mean_return"):
+            known = [value for run in seeds if (value := getattr(run, key)) is not None]
+            row[key] = fmean(known) if known else None
         reached = [run.steps_to_95 for run in seeds if run.success_end is not None]
         row["steps_to_95"] = median_reaching(reached)
         row["reached_95"] = f"{len(reached) - reached.count(None)} of {len(reached)}" if reached else None
@@ -259,7 +262,9 @@ def show(
 @app.command()
 def tag(
     run: LabelledRun,
-    tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Words of your own.")],
+    tags: Annotated[
+        list[str], typer.Argument(metavar="TAG...", help="Words of your own.", autocompletion=complete_tag)
+    ],
     remove: Annotated[bool, typer.Option("--remove", help="Remove these tags instead.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -345,7 +350,12 @@ def remove(
 
 @app.command()
 def restore(
-    run: Annotated[list[str], typer.Argument(metavar="RUN...", help="The run's id or its beginning.")],
+    run: Annotated[
+        list[str],
+        typer.Argument(
+            metavar="RUN...", help="The run's id or its beginning.", autocompletion=complete_folder(".trash/*/run.json")
+        ),
+    ],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -372,6 +382,13 @@ def export_runs(
     run: ManyRuns = None,
     where: Where = None,
     checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
+    without_source: Annotated[
+        bool,
+        typer.Option(
+            "--without-source",
+            help="Leave out code.diff, commands, tracebacks, names of untracked files, and folders of absolute paths.",
+        ),
+    ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
@@ -381,10 +398,12 @@ def export_runs(
     store, found = select_runs(run or (), where, runs, database)
     store.close()
     folders = [RunFolder.open(summary.folder) for summary in found]
-    exported = archive.export_runs(folders, file, checkpoints=checkpoints)
+    exported = archive.export_runs(folders, file, checkpoints=checkpoints, source=not without_source)
     for name in exported.left_out:
         warn(f"{name}: not a file of a run; left out")
     say(f"{len(folders)} runs, {exported.files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
+    source = "" if without_source else "; uncommitted changes, commands and untracked names (--without-source: none)"
+    say(f"it holds settings, results and events{' with checkpoints' * checkpoints}{source}; secrets as ***")
 
 
 @app.command("import")

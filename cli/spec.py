@@ -13,6 +13,7 @@ from karolos.errors import UsageError
 from karolos.files import write_whole
 
 from .arguments import Json, Overrides, SpecFile, check_file
+from .completion import complete_spec
 from .output import print_line, print_rows, warn
 
 app = typer.Typer(
@@ -36,7 +37,7 @@ def list_specs(json: Json = False) -> None:
 
 @app.command()
 def copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of a spec that ships.")],
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Of a spec that ships.", autocompletion=complete_spec)],
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="The copy. Default: NAME.yaml here.")] = None,
 ) -> None:
     """Copy a spec that ships, to change it. What it extends stays in the package, as karolos:NAME."""

@@ -24,13 +24,19 @@ from .arguments import (
     seconds,
     with_launcher,
 )
+from .completion import complete_spec
 from .output import end_if_stopped, print_report, say, warn
 
 FOLDER = "suites"
 
 
 def suite(
-    file: Annotated[Path, typer.Argument(metavar="SUITE", help="A YAML file that names specs, or one that ships.")],
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SUITE", help="A YAML file that names specs, or one that ships.", autocompletion=complete_spec
+        ),
+    ],
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.errors import SpecError
+from karolos.errors import KarolosError
 
 from .arguments import Database, Json, On, Overrides, Quiet, Runs, SpecFile, TimeLimit, seconds, with_launcher
 from .output import drawn_text, print_rows, say, short_text, warn
@@ -28,7 +28,7 @@ def sweep(
     database: Database = None,
     trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
     jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
-    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print some sampled specs.")] = False,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print its first trials.")] = False,
     on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
@@ -122,11 +122,12 @@ def report_best(sweep: SweepRecord) -> None:
 
 
 def _print_samples(search: Search, *, json: bool) -> None:
-    """Print what trials may look like: the changed settings, and whether the spec with them is valid.
+    """Print the first trials: the changed settings, and whether the spec with them is valid.
 
     Raises UsageError as the search itself if its parts are incompatible, or the environment lacks an objective.
     """
     from karolos.sweep.search import samples
+    from karolos.sweep.study import STARTUP_TRIALS
     from karolos.training.assembly import check_parts
 
     if (note := check_parts(search.spec)) is not None:
@@ -134,7 +135,7 @@ def _print_samples(search: Search, *, json: bool) -> None:
     rows = []
     for place, (drawn, made) in enumerate(samples(search.spec, min(search.asked, SAMPLES))):
         row = {"trial": place, **{key: drawn.get(key) for key in search.sweep.space}}
-        if isinstance(made, SpecError):
+        if isinstance(made, KarolosError):
             row["problem"] = str(made)
         else:
             row |= {"problem": None} | ({"spec": made.dump()} if json else {})
@@ -142,3 +143,5 @@ def _print_samples(search: Search, *, json: bool) -> None:
     print_rows(rows, json=json)
     each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
     say(f"{search.asked} trials, {each}; nothing was run")
+    if search.sweep.sampler in ("tpe", "gp") and search.asked > STARTUP_TRIALS:
+        say(f"these are the first; from trial {STARTUP_TRIALS} on, values depend on results")

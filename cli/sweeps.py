@@ -10,6 +10,7 @@ import typer
 from karolos.errors import UsageError
 
 from .arguments import Database, Json, Runs, open_store
+from .completion import complete_folder
 from .output import drawn_text, print_rows, say
 from .sweep import print_trials, report_best
 
@@ -33,7 +34,12 @@ def list_sweeps(runs: Runs = Path("runs"), database: Database = None, json: Json
 
 @app.command()
 def show(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="A sweep's name or id.")],
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A sweep's name or id.", autocompletion=complete_folder("sweeps/*/sweep.json")
+        ),
+    ],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,

@@ -3,16 +3,68 @@
 The command line prints them without a traceback and ends with the error's exit code.
 Any other exception is a bug in karolos and keeps its traceback. One in a third party's plugin becomes a PluginError
 at the plugin's line (`registry.blaming`); in the environments of a run it keeps its traceback, too.
+What is said or recorded shows no secrets: `recorded` and `redact` decide what looks like one.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 LONGEST = 1000
 """Most characters that an error says of what is wrong: a value that it repeats may have any length."""
+
+
+_PATH = re.compile(r"(?:(?<=:///)|(?<![\w.:/~*-]))/(?:[^/\s\"'=:,]+/)+")
+_SECRET = (
+    r"(?:pass(?:word|wd|phrase|code)|secret|token|credential|(?:api|access|private|auth|secret|signing)[_-]?key"
+    r"|(?<![a-z0-9])(?:pass|pwd|pw|auth|authorization|bearer))s?(?:[_-]?(?:key|value|id))?"
+)
+_SECRETS = (
+    (re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@"), "***@"),
+    (re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*-----|\Z)", re.DOTALL), "***"),
+    (re.compile(r"\b(?:gh[a-z]_|github_pat_|glpat-|hf_|sk-|xox[a-z]-|AKIA)[\w-]{12,}"), "***"),
+    (
+        re.compile(
+            rf"""({_SECRET}["']?\s*[:=]\s*(?:(?:bearer|basic)\s+)?)(?!None\b|str\b|true\b|false\b|null\b)"""
+            r"""("[^"\n]*"|'[^'\n]*'|(?![A-Za-z_][\w.]*[(\[])[^\s"'&;,)\]}]+)""",
+            re.IGNORECASE,
+        ),
+        r"\1***",
+    ),
+)
+"""User and password in a URL, keys, tokens of well-known services, and the values of what is called a secret."""
+
+
+def is_secret(key: str) -> bool:
+    """Whether a setting or an option of this name holds a secret."""
+    return re.search(rf"{_SECRET}$", key, re.IGNORECASE) is not None
+
+
+def redact(text: str) -> str:
+    """Replace what looks like a secret by ***; in doubt, too much is replaced."""
+    for pattern, shown in _SECRETS:
+        text = pattern.sub(shown, text)
+    return text
+
+
+def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
+    """JSON as records hold it: with *** in place of what looks like a secret, and maybe without folders of paths."""
+    if isinstance(value, Mapping):
+        return {name: recorded(one, name, folders=folders) for name, one in value.items()}
+    if isinstance(value, list | tuple):
+        return [recorded(one, key, folders=folders) for one in value]
+    if not isinstance(value, str):
+        return value
+    text = "***" if value and is_secret(key) else redact(value)
+    return text if folders else without_folders(text)
+
+
+def without_folders(text: str) -> str:
+    """A text with .../name in place of each absolute path: folders tell machines and users."""
+    return _PATH.sub(".../", text)
 
 
 def _cut(text: str) -> str:
@@ -53,7 +105,7 @@ class KarolosError(Exception):
 
 
 def _line(where: object, setting: str | None, what: str, hint: str | None) -> str:
-    line = ": ".join(str(part) for part in (where, setting, what) if part)
+    line = ": ".join(str(part) for part in (where and redact(str(where)), setting, what) if part)
     return f"{line}; {hint}" if hint else line
 
 

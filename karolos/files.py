@@ -1,6 +1,7 @@
 """Files that are written completely or not at all, files of JSON lines, and locks that end with their process.
 
-An error of the operating system during writing becomes a MachineError that says what to do.
+An error of the operating system during writing becomes a MachineError that says what to do. `fingerprint` tells whether
+files that an experiment reads were edited.
 """
 
 from __future__ import annotations
@@ -8,12 +9,15 @@ from __future__ import annotations
 import contextlib
 import errno
 import fcntl
+import hashlib
 import json
 import os
 import re
 import shutil
+import stat
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
@@ -23,6 +27,15 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
+MOST_FILES, LARGEST_FILE, LARGEST_TEXT = 20_000, 1 << 34, 20_000_000
+"""What `fingerprint` reads: files of a folder, bytes of a file, and bytes of one that names others."""
+_NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py")
+_NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
+_FOLDER = re.compile(r"""\b(?:mesh|asset)dir\s*=\s*["']([^"'<>]{1,300})["']""")
+"""Where an MJCF file says that its meshes are."""
+_IMPORTED = re.compile(r"^(?:from|import)\s+(\w+)", re.MULTILINE)
+_NO_SOURCE = re.compile(r"[.#].*|.*~|.*\.(?:py[co]|nb[ic])|__pycache__|specs|runs|shipped_runs")
+"""Names in a package that are no source: files that are hidden, an editor's, compiled, specs or runs."""
 LOCK_SECONDS = 20.0
 """How long `locked` waits for a process that writes labels or a line, which takes milliseconds."""
 
@@ -97,6 +110,83 @@ def is_alive(process: int) -> bool:
     return True
 
 
+def find_named(name: str, folder: Path) -> Path | None:
+    """The file that is called `name` in a file of `folder`, as a mesh in a URDF; None if there is none.
+
+    A `package://` name is looked for in this folder and those above it, with and without the name of the package.
+    """
+    scheme, separator, rest = name.partition("://")
+    if scheme in ("package", "model") and separator:
+        places = [
+            place for above in (folder, *folder.parents) for place in (above / rest, above / rest.partition("/")[2])
+        ]
+    else:
+        rest = rest if separator else name
+        places = [folder / rest, folder.parent / rest]
+    return next((place.resolve() for place in places if os.path.isfile(place)), None)
+
+
+def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
+    """SHA-256 (hex) of a file or of the source in a folder, and of files that are named there; None if it is neither.
+
+    A URDF names its meshes, a module the files in its texts and the modules beside it.
+
+    Args:
+        path: of the file or the folder.
+        unread: gets a line for each file that does not count: a dangling link, no plain file, or one beyond the limits.
+        follow: include the files that are named.
+    """
+    notes: list[str] = [] if unread is None else unread
+    if not os.path.isdir(path) and not os.path.isfile(path):
+        return None
+    pending = list(_source(path, notes)) if os.path.isdir(path) else [("", path)]
+    digest, seen = hashlib.sha256(), {os.path.realpath(one) for _, one in pending}
+    for name, one in pending:  # which grows
+        content = "unread"
+        others: tuple[str, ...] = ()
+        try:
+            status = os.stat(one)
+            if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_FILE or len(seen) > MOST_FILES:
+                raise OSError("no plain file, or one too large or too many")
+            content, others = _content(str(one), status.st_mtime_ns, status.st_size, status.st_ino)
+        except OSError as error:
+            notes.append(f"{name or one.name}: {error.strerror or error}")
+        digest.update(f"{name}\0{content}\n".encode(errors="surrogateescape"))
+        for other in others if follow else ():
+            found = find_named(other, one.parent)
+            if found is not None and str(found) not in seen:
+                seen.add(str(found))
+                pending.append((other, found))
+    return digest.hexdigest()
+
+
+def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
+    """Name and path of the files below a folder; a folder that links lead to twice is read once."""
+    visited: set[str] = set()
+    for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: notes.append(str(error))):
+        visited.add(os.path.realpath(place))
+        inside = [one for one in sorted(folders) if not _NO_SOURCE.fullmatch(one)]
+        folders[:] = [one for one in inside if os.path.realpath(os.path.join(place, one)) not in visited]
+        for path in (Path(place, name) for name in sorted(names) if not _NO_SOURCE.fullmatch(name)):
+            yield path.relative_to(folder).as_posix(), path
+
+
+@lru_cache(maxsize=2 * MOST_FILES)
+def _content(path: str, *_: int) -> tuple[str, tuple[str, ...]]:
+    """SHA-256 (hex) of a file, and what it names. The numbers change with the file."""
+    with open(path, "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+        if not path.lower().endswith(_NAMING):
+            return digest, ()
+        file.seek(0)
+        text = file.read(LARGEST_TEXT).decode(errors="replace")
+    named = _NAMED.findall(text)
+    named += [f"{folder}/{name}" for folder in _FOLDER.findall(text) for name in named]
+    if path.endswith(".py") and "-packages" not in path:  # site-packages and dist-packages hold modules of others
+        named += [name for module in _IMPORTED.findall(text) for name in (f"{module}.py", f"{module}/__init__.py")]
+    return digest, tuple(dict.fromkeys(named))
+
+
 def remove_leftovers(folder: Path, pattern: str) -> None:
     """Remove files and folders that dead processes of this user left; what cannot be removed stays.
 
@@ -148,9 +238,9 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
             sync_folder(path.parent)
 
 
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
+def write_json(path: Path, value: Mapping[str, Any], *, durable: bool = True) -> None:
     """Write an indented JSON object as `write_whole` does."""
-    write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n")
+    write_whole(path, json.dumps(value, indent=2, allow_nan=False) + "\n", durable=durable)
 
 
 def append_lines(path: Path, rows: Iterable[Mapping[str, Any]]) -> None:

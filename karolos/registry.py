@@ -11,7 +11,7 @@ import os
 import sys
 import traceback
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cache, partial
@@ -30,6 +30,11 @@ KINDS = (
     "orchestrators",
     "launchers",
 )
+
+GROUPS = {f"karolos.{kind}": kind for kind in KINDS}
+"""Group of entry points -> its kind."""
+LARGEST = 1_000_000
+"""Most bytes of a file of entry points."""
 
 NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
@@ -55,6 +60,11 @@ class PluginEntry:
     """The class, as "module:Class"."""
     distribution: str
     version: str
+
+    @property
+    def package(self) -> str:
+        """The outermost package or the module that holds it."""
+        return _package(self.target)
 
     @property
     def who(self) -> str:
@@ -121,9 +131,8 @@ def find(kind: str, name: str) -> PluginEntry:
     """The plugin of that kind and name, without importing it. Raises as `load` does."""
     found = [entry for entry in entries(kind) if entry.name == name]
     if not found:
-        raise UsageError(
-            f"no {singular(kind)} is called {name!r}", hint=alternatives(name, names(kind), what=f"installed {kind}")
-        )
+        hint = "; ".join((alternatives(name, names(kind), what=f"installed {kind}"), *unreadable()))
+        raise UsageError(f"no {singular(kind)} is called {name!r}", hint=hint)
     if len(found) > 1:
         claims = " and ".join(entry.distribution for entry in found)
         what = f"{singular(kind)} {name!r} is claimed by {claims}"
@@ -131,15 +140,57 @@ def find(kind: str, name: str) -> PluginEntry:
     return found[0]
 
 
-@cache
 def _installed() -> tuple[PluginEntry, ...]:
-    """All plugins. Scanning the installed distributions takes 20 ms, so it is done once per process."""
-    found = {
-        PluginEntry(kind, point.name, point.value, *((dist.name, dist.version) if (dist := point.dist) else ("?", "?")))
-        for kind in KINDS
-        for point in importlib.metadata.entry_points(group=f"karolos.{kind}")
-    }
-    return tuple(sorted(found, key=lambda entry: (KINDS.index(entry.kind), entry.name, entry.distribution)))
+    return _scan()[0]
+
+
+def unreadable() -> tuple[str, ...]:
+    """A line for each installed distribution whose entry points cannot be read: its plugins are not known."""
+    return _scan()[1]
+
+
+def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
+    """The entry points of a distribution. Raises whatever its files cause."""
+    place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
+    file = str(place / "entry_points.txt") if place else ""
+    if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
+        raise OSError(f"no plain file of at most {LARGEST:,} bytes")
+    return _ENTRY_POINTS(dist)
+
+
+def _readable_points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
+    try:
+        return _points(dist)
+    except Exception:  # files of anybody
+        return importlib.metadata.EntryPoints(())
+
+
+_ENTRY_POINTS: Callable[[object], importlib.metadata.EntryPoints] = importlib.metadata.Distribution.entry_points.fget  # type: ignore[attr-defined]
+# pydantic, numba and gymnasium ask every distribution as well: a file that cannot be read would end them all.
+importlib.metadata.Distribution.entry_points = property(_readable_points)  # type: ignore[assignment,method-assign]
+
+
+@cache
+def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
+    """All plugins, and what cannot be read. It takes 20 ms, so it is done once per process."""
+    found: dict[str, set[PluginEntry]] = {}  # of two copies of a distribution the first on Python's path counts
+    problems: list[str] = []
+    for dist in importlib.metadata.distributions():
+        place = getattr(dist, "_path", dist)
+        try:
+            points = [
+                (GROUPS[point.group], point.name, point.value) for point in _points(dist) if point.group in GROUPS
+            ]
+        except Exception as error:  # files of anybody
+            problems.append(f"{place}: its entry points cannot be read: {_text(error)}")
+            continue
+        name, _, version = getattr(place, "stem", "?").partition("-")
+        if points:
+            with suppress(Exception):  # METADATA may be missing
+                name, version = dist.metadata["Name"] or name, dist.metadata["Version"] or version
+            found.setdefault(name, {PluginEntry(*point, name, version) for point in points})
+    order = sorted(set().union(*found.values()), key=lambda one: (KINDS.index(one.kind), one.name, one.distribution))
+    return tuple(order), tuple(problems)
 
 
 @cache
@@ -178,7 +229,7 @@ def blaming() -> Iterator[None]:
     except Exception as error:  # a plugin may raise anything
         theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
         for name, place in _frames(error):
-            found = [entry for entry in theirs if _package(entry.target) == _package(name)]
+            found = [entry for entry in theirs if entry.package == _package(name)]
             if found:  # of several in a package the one whose module and class begin most alike
                 entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
                 where = f"{place}: {entry.who}"

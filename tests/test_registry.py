@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.metadata
 import subprocess
 import sys
 
@@ -139,6 +140,31 @@ def test_plugin_that_leaves_a_method_abstract_is_refused(fake_plugins):
     fake_plugins("distributions", "abstract", "support.fake_plugins:Abstract")
     with pytest.raises(PluginError, match="Abstract is no distribution: it lacks draw; a distribution has draw"):
         registry.load("distributions", "abstract")
+
+
+DISORDER = {
+    "not_utf8": b"\xff[karolos.robots]\na = b:C",
+    "malformed": b"[karolos.robots]\na b\n[]\n=\n",
+    "a_folder": None,
+    "large": b"#" * 2_000_000,
+}
+"""What stands in entry_points.txt."""
+
+
+@pytest.mark.parametrize("name", DISORDER)
+def test_what_cannot_be_read_of_a_distribution_is_named_and_ends_nothing(tmp_path, monkeypatch, name):
+    for each, content in ((name, DISORDER[name]), ("fine", b"[karolos.robots]\nfine_arm = fine:Arm")):
+        file = tmp_path / f"{each}-2.0.dist-info" / "entry_points.txt"  # beside no METADATA
+        file.parent.mkdir()
+        file.mkdir() if content is None else file.write_bytes(content)
+    monkeypatch.syspath_prepend(tmp_path)
+    found, problems = registry._scan.__wrapped__()
+    (entry,) = (one for one in found if one.name == "fine_arm")
+    assert (entry.distribution, entry.version) == ("fine", "2.0")
+    (problem,) = problems
+    assert name in problem
+    assert "cannot be read" in problem
+    list(importlib.metadata.entry_points(group="pydantic"))  # as pydantic and numba ask
 
 
 def test_every_installed_plugin_loads():

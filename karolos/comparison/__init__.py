@@ -1,7 +1,18 @@
 """From runs to the numbers that compare experiments. `karolos.report` draws them."""
 
 from .conditions import conditions
-from .contenders import ComparedRun, Contender, Metric, Success, gather, labels_of, one_per_seed, repeated
+from .contenders import (
+    ComparedRun,
+    Contender,
+    Metric,
+    Success,
+    averaged,
+    gather,
+    labels_of,
+    name_of,
+    one_per_seed,
+    repeated,
+)
 from .curves import Curve, densities, learning_curve
 from .differences import MISSING, differences
 from .scores import Comparison, Estimate, Reaching, Scores, compare
@@ -17,6 +28,7 @@ __all__ = [
     "Reaching",
     "Scores",
     "Success",
+    "averaged",
     "compare",
     "conditions",
     "densities",
@@ -24,6 +36,7 @@ __all__ = [
     "gather",
     "labels_of",
     "learning_curve",
+    "name_of",
     "one_per_seed",
     "repeated",
 ]

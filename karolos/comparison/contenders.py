@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -169,7 +169,7 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Conte
         shown = ", ".join(experiment[:12] for experiment in experiments[:LISTED])
         more = f" and {len(experiments) - LISTED} more" if len(experiments) > LISTED else ""
         raise UsageError(
-            f"{label} means {len(experiments)} experiments, whose specs differ",
+            f"{label} means {len(experiments)} experiments, whose specs differ, or files that they name",
             hint=f"name one by its hash: {shown}{more}",
         )
     chosen = one_per_seed(runs)
@@ -190,24 +190,47 @@ def _contender(label: str, records: Sequence[RunRecord], problems: list[str]) ->
 
 
 def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
-    """Seed -> of its runs the newest finished one, or the newest if none is finished."""
-    return {run.seed: run for run in sorted(runs, key=lambda run: (run.state == "finished", run.created))}
+    """Seed -> of its runs the newest finished one, or the newest if none is finished.
+
+    Of runs whose plugins have other source than the newest of these, none counts.
+    """
+    ordered = sorted(runs, key=lambda run: (run.state == "finished", run.created))
+    source = next((run.source for run in reversed(ordered) if run.source), None)
+    return {run.seed: run for run in ordered if run.source in (None, source)}
+
+
+def averaged(runs: Sequence[RunSummary]) -> tuple[list[RunSummary], str]:
+    """The runs that means in lists are of, one per seed: the finished ones, or all if none is; and what is left out."""
+    seeds = list(one_per_seed(runs).values())
+    finished = [run for run in seeds if run.state == "finished"] or seeds
+    cut = len(seeds) - len(finished)
+    return finished, f"{cut} of {len(seeds)} seeds not finished, left out" if cut else ""
+
+
+def name_of(runs: Sequence[RunSummary]) -> str:
+    """The names that people gave the runs of an experiment, the newest first: a name is not part of its identity."""
+    return ", ".join(dict.fromkeys(run.name for run in runs))
 
 
 def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
-    """A warning if several runs have one seed, of which `one_per_seed` chooses; else none."""
-    more = len(runs) - len(one_per_seed(runs))
+    """Warnings if `one_per_seed` leaves out runs: those of other source, and those that repeat a seed."""
+    chosen = one_per_seed(runs).values()
+    sources = {None, *(run.source for run in chosen)}
+    others = [run.run for run in runs if run.source not in sources]
+    more = len(runs) - len(others) - len(chosen)
     rule = "of each seed the newest finished run is used, or the newest if none is finished"
-    return [f"{label}: {more} of {len(runs)} runs repeat a seed; {rule}"] if more else []
+    edited = "a plugin or module of theirs was another one, see `karolos diff`"
+    found = [f"{label}: {more} of {len(runs)} runs repeat a seed; {rule}"] if more else []
+    return found + ([f"{label}: left out, because {edited}: {', '.join(others)}"] if others else [])
 
 
 def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
     """A label for each of some selections of runs: its name. Of several with one name: name and hash, or a run's id."""
-    names = Counter(found[0].name for found in selected)
+    names = [name_of(found) for found in selected]
     labels = []
-    for run, *others in selected:
-        distinct = f"{run.name} {run.experiment[:8]}" if others else run.run
-        labels.append(run.name if names[run.name] == 1 else distinct)
+    for name, (run, *others) in zip(names, selected, strict=True):
+        distinct = f"{name} {run.experiment[:8]}" if others else run.run
+        labels.append(name if names.count(name) == 1 else distinct)
     return labels
 
 

@@ -28,7 +28,7 @@ MISSING: Final = Missing.MISSING
 def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
     """Key path -> each mapping's value, for values that are not all equal; keys are grouped by their first part.
 
-    A block that a side lacks is one value. So are several keys of a block that a side lacks, as another plugin has.
+    Each key of a block that a side lacks, as another plugin has, is a value of its own.
 
     Args:
         mappings: nested, e.g. resolved specs. A list is one value.
@@ -36,26 +36,23 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
     found: dict[str, tuple[Any, ...]] = {}
     for key in dict.fromkeys(key for mapping in mappings for key in mapping):
         values = tuple(mapping.get(key, MISSING) for mapping in mappings)
-        blocks = [value for value in values if isinstance(value, Mapping)]
-        if len(blocks) < len(values):
-            found |= {key: values} if any(value != values[0] for value in values) else {}
+        if all(value == values[0] for value in values):
             continue
-        inside = differences(blocks)
-        lacking = [name for name in inside if "." not in name and MISSING in inside[name]]
-        if len(lacking) > 1:
-            own = [{name: block[name] for name in lacking if name in block} or MISSING for block in blocks]
-            inside = {"": tuple(own)} | {name: each for name, each in inside.items() if name not in lacking}
-        found |= {f"{key}.{name}".rstrip("."): each for name, each in inside.items()}
+        blocks = [value if isinstance(value, Mapping) and value else {} for value in values]
+        own = tuple(MISSING if block else value for block, value in zip(blocks, values, strict=True))
+        found |= {key: own} if any(value is not MISSING for value in own) else {}
+        found |= {f"{key}.{name}": each for name, each in differences(blocks).items()}
     return found
 
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two: resolved spec, versions by package, seed, git commit, and the changes since that commit."""
+    """One of the two: resolved spec, versions, sources by package or file, seed, git commit, and changes since it."""
 
     name: str
     spec: Mapping[str, Any]
     versions: Mapping[str, str]
+    sources: Mapping[str, str]
     seed: int | None
     commit: str | None
     patch: str
@@ -66,7 +63,7 @@ class SideDifference:
     """One thing that differs; MISSING on the side that lacks it.
 
     Args:
-        part: run, spec, version or code.
+        part: run, spec, version, source or code.
         key: key path of the spec, package, or file.
     """
 
@@ -91,6 +88,7 @@ def of_run(folder: RunFolder) -> Side:
         name=folder.id,
         spec=folder.spec(),
         versions=about.get("versions") or {},
+        sources={**(about.get("sources") or {}), **(about.get("files") or {})},
         seed=about["seed"],
         commit=(about.get("git") or {}).get("commit"),
         patch=path.read_text("utf-8", "replace") if path.is_file() else "",
@@ -101,7 +99,9 @@ def of_spec(spec: Spec, name: str) -> Side:
     """What a run of this spec would be made from now, in the current folder."""
     code = provenance.code(Path.cwd())
     commit, patch = (code.commit, code.diff) if code else (None, "")
-    return Side(name, spec.alone().dump(), provenance.versions(), None, commit, patch)
+    dump = spec.alone().dump()
+    sources = provenance.sources(provenance.packages(dump)) | spec.files()
+    return Side(name, dump, provenance.versions(), sources, None, commit, patch)
 
 
 def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
@@ -112,6 +112,9 @@ def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
         yield SideDifference("spec", key, one, other)
     for key, (one, other) in differences([a.versions, b.versions]).items():
         yield SideDifference("version", key, one, other)
+    for key in sorted(a.sources.keys() & b.sources.keys()):  # not known of older runs
+        if a.sources[key] != b.sources[key]:
+            yield SideDifference("source", key, a.sources[key][:12], b.sources[key][:12])
     if a.commit != b.commit:
         yield SideDifference("code", "commit", a.commit or MISSING, b.commit or MISSING)
     ours, theirs = _changed(a.patch), _changed(b.patch)

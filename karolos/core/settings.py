@@ -7,6 +7,8 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Setting
 
+from .. import registry  # noqa: F401  (repairs what pydantic asks when the first model is made)
+
 
 class Settings(BaseModel):
     """Base of every plugin's nested `Settings`: frozen, without unknown keys."""

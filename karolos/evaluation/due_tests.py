@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
@@ -26,7 +26,7 @@ from .testing import play_episodes
 
 NICENESS = 10
 """Is added to the second process's priority value: it gets about a tenth of a core that another process wants, too."""
-PART = 125
+PART = 50
 """Episodes that a process plays at a time: of longer tests two processes play parts."""
 CLOSE_SECONDS = 3.0
 """Seconds for an idle process to end before it is killed."""
@@ -41,7 +41,7 @@ class DueTest:
     seconds: float
     """Wall-clock seconds of collecting and learning."""
     agent: State
-    seeds: tuple[int, ...]
+    seeds: Sequence[int]
     """One per episode."""
 
     @cached_property
@@ -67,20 +67,25 @@ class Evaluator:
         on_round: Callable[[int], object] = lambda _: None,
     ) -> TestResult:
         """Play a test; `on_failure` and `on_round` as for `play_episodes`."""
-        if self._environments is None:
-            self._environments = make_orchestrator(self._spec, randomize=False)
-        if self._agent is None:
-            self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
-        self._agent.load_state(test.agent)
+        environments, agent = self.prepare()
+        agent.load_state(test.agent)
         return play_episodes(
-            self._environments,
-            self._agent,
+            environments,
+            agent,
             test.seeds,
             steps=test.steps,
             seconds=test.seconds,
             on_failure=on_failure,
             on_round=on_round,
         )
+
+    def prepare(self) -> tuple[Orchestrator, Agent]:
+        """The environments and the agent, which are made once."""
+        if self._environments is None:
+            self._environments = make_orchestrator(self._spec, randomize=False)
+        if self._agent is None:
+            self._agent = make_agent(self._spec, self._environments.signature, SeedTree(0))
+        return self._environments, self._agent
 
     def close(self) -> None:
         """End the environments. Safe to call twice."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from .. import checkpoint
-from ..core import Agent, Environment, Signature, State, Step, random_actions
+from ..core import Agent, Discrete, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
@@ -19,6 +19,7 @@ from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
 from ..files import read_object
 from ..records import RunFolder
+from ..records.results import TestCounts
 from ..records.shipped import POLICY, is_shipped
 from ..registry import blaming, load
 from ..simulation.engines import WINDOWS, Engine, installed, installed_one
@@ -55,7 +56,7 @@ class Learned:
         return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class SavedAgent(Learned):
     """The agent of a checkpoint, on the CPU."""
 
@@ -64,6 +65,21 @@ class SavedAgent(Learned):
     signature: Signature
     """Of the environment that the agent was trained in."""
     agent: Agent
+    tested: TestCounts | None = None
+    """Its final test, or the test at its steps."""
+
+    def __repr__(self) -> str:
+        """Two lines: whose policy it is and how good, and what goes in and out."""
+        test, signature, good = self.tested, self.signature, "not tested"
+        if test is not None:
+            end, mean = test.success_end, test.mean_return or 0.0
+            good = f"return {mean:.2f}" if end is None else f"success {end:.2f}"
+            good += f" in {test.episodes} test episodes"
+        known = signature.action
+        action = f"one of {len(known.labels)} actions" if isinstance(known, Discrete) else f"action {known.size}"
+        whose = f"{self.spec.agent.name} of {self.run}, {self.checkpoint} after {self.steps:,} steps"
+        sizes = f"observation {signature.observation.acting.size}, goal {signature.desired_goal.size}"
+        return f"{whose}: {good}\n{self.spec.name}: {sizes} -> {action}"
 
     def act(self, observation: ArrayLike, goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
@@ -157,7 +173,15 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
             agent.adopt(learned.state)
         else:
             agent.load_state(learned.state)
-    return SavedAgent(**vars(learned), spec=spec, signature=signature, agent=agent)
+    return SavedAgent(**vars(learned), spec=spec, signature=signature, agent=agent, tested=_test_of(folder, learned))
+
+
+def _test_of(folder: RunFolder, learned: Learned) -> TestCounts | None:
+    """The final test of what was learned; without one the test at its steps."""
+    final = folder.final()
+    result = (final.best if learned.checkpoint == "best" else final.last) if final else None
+    found = result or next((one for one in folder.tests() if one.steps == learned.steps), None)
+    return TestCounts.of(found) if found else None
 
 
 def load_run(

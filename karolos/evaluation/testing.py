@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import overload
 
 import numpy as np
 from numpy.typing import NDArray
+from typing_extensions import override
 
 from ..core import Agent, Array, Failure, Measure, Orchestrator, Received
 from ..core.seeding import SeedTree
@@ -14,10 +17,30 @@ from ..records.results import MeasureValues, TestResult
 from ..training.episodes import empty_steps, write_rows
 
 
-def test_seeds(root: int, episodes: int) -> tuple[int, ...]:
+@dataclass(frozen=True)
+class Seeds(Sequence[int]):
+    """Seeds of test episodes. A seed is made when it is asked for: a million take 14 seconds."""
+
+    tree: SeedTree
+    places: range
+
+    def __len__(self) -> int:
+        return len(self.places)
+
+    @overload
+    def __getitem__(self, place: int) -> int: ...
+    @overload
+    def __getitem__(self, place: slice) -> Seeds: ...
+    @override
+    def __getitem__(self, place: int | slice) -> int | Seeds:
+        if isinstance(place, slice):
+            return Seeds(self.tree, self.places[place])
+        return self.tree.child(self.places[place]).integer()
+
+
+def test_seeds(root: int, episodes: int) -> Seeds:
     """Seeds of the test episodes. All runs with the same `testing.seed` have the same ones and are therefore paired."""
-    tree = SeedTree(root).child("test")
-    return tuple(tree.child(index).integer() for index in range(episodes))
+    return Seeds(SeedTree(root).child("test"), range(episodes))
 
 
 test_seeds.__test__ = False  # type: ignore[attr-defined]  # pytest takes the name for a test case

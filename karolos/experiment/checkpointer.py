@@ -3,21 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from typing import Any
 
 from .. import checkpoint
 from ..core import State
 from ..errors import MachineError
 from ..evaluation.due_tests import DueTest
+from ..evaluation.testing import test_seeds
 from ..records import RunFolder
 from ..records.results import TestResult
+from ..specification import Spec
 from ..training.training import Training
 from .announcer import Announce
 from .resume import LAST, PREVIOUS
 from .writer import RunWriter
 
 BEST = "best"
+TEST = ("steps", "updates", "seconds", "agent")
+"""What `last` contains of a pending test."""
 
 
 @dataclass
@@ -28,14 +32,14 @@ class Checkpointer:
 
     Args:
         writer: of the run.
-        experiment: hash of the run's spec.
+        spec: of the run.
         seed: the run's.
         pending: tests without a recorded result, which the caller changes; `last` contains them.
         announce: is told when a checkpoint `last` is written.
     """
 
     writer: RunWriter
-    experiment: str
+    spec: Spec
     seed: int
     pending: list[DueTest]
     announce: Announce
@@ -81,7 +85,8 @@ class Checkpointer:
             self.demonstrated = bool(run["demonstrated"])
             self.diverged[:] = run.get("diverged", ())
             self._best = tuple(map(float, run["best"]))
-            tests = [DueTest(**row | {"seeds": tuple(row["seeds"])}) for row in run["tests"]]
+            seeds = test_seeds(self.spec.testing.seed, self.spec.testing.episodes)
+            tests = [DueTest(**row | {"seeds": seeds}) for row in run["tests"]]
             for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
                 training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
@@ -110,7 +115,7 @@ class Checkpointer:
                 "best": list(self._best),
                 "demonstrated": self.demonstrated,
                 "diverged": list(self.diverged),
-                "tests": [{one.name: getattr(test, one.name) for one in fields(test)} for test in self.pending],
+                "tests": [{name: getattr(test, name) for name in TEST} for test in self.pending],
             },
         }
         if self.last_is_whole:
@@ -135,7 +140,7 @@ class Checkpointer:
     def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> bool:
         """Write a checkpoint; returns whether it is on the disk."""
         amounts = {"steps": at.steps, "updates": at.updates, "seconds": at.seconds}
-        meta = {"experiment": self.experiment, "seed": self.seed, **amounts, **more}
+        meta = {"experiment": self._folder.description()["experiment"], "seed": self.seed, **amounts, **more}
         with self.writer.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
             checkpoint.save(self._folder.checkpoints, name, parts, meta)
             return True

@@ -12,6 +12,7 @@ from ..core import State
 from ..errors import RunError
 from ..records import RunFolder, scan
 from ..records.run_folder import renamed
+from ..specification import Spec
 
 LAST, PREVIOUS = "last", "previous"
 """The newest checkpoint that a run can resume from, and the one before it, for a damaged `last`."""
@@ -65,6 +66,15 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
     if warnings:
         raise RunError("no checkpoint can be used: " + "; ".join(warnings), where=folder.id)
     return Snapshot({}, {"steps": 0, "updates": 0, "episodes_bytes": 0})
+
+
+def check_files(spec: Spec, folder: RunFolder) -> None:
+    """Raise a RunError if a file that the run's spec names is not the one that the run was made with."""
+    made, now = folder.description().get("files") or {}, spec.files()
+    if changed := sorted(path for path, digest in made.items() if now.get(path) != digest):
+        what = f"the file of {' and '.join(changed)}, or one that it names, was changed or is missing"
+        hint = "put back what the run was made with; with other files it is another experiment"
+        raise RunError(what, where=folder.id, hint=hint)
 
 
 def find_run(runs: Path, name: str, experiment: str, seed: int) -> RunFolder | None:

@@ -30,7 +30,7 @@ from .announcer import Announcer
 from .checkpointer import BEST, Checkpointer
 from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
-from .resume import LAST, Snapshot, newest_snapshot
+from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError, TimeIsUpError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
@@ -72,9 +72,7 @@ class Run:
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
         self._announcer = Announcer(self.folder.id, self.listener)
-        self._checkpointer = Checkpointer(
-            self._writer, self.spec.hash(), self.seed, self._pending, self._announcer.announce
-        )
+        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending, self._announcer.announce)
 
     def execute(self) -> RunSummary:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
@@ -85,6 +83,8 @@ class Run:
         except (KeyboardInterrupt, TimeIsUpError) as error:
             self._end(Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once"))
             raise
+        except StopRequestedError:  # while something was built or loaded; checkpoints are as before
+            ending = Ending("stopped", reason=self.stop.reason)
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
@@ -106,16 +106,18 @@ class Run:
         with ExitStack() as stack:
             self._points = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
             stack.callback(self._points.close)
-            environments = stack.enter_context(make_orchestrator(spec, randomize=True))
+            with self.stop.at_once():
+                environments = stack.enter_context(make_orchestrator(spec, randomize=True))
+                signature, size = environments.signature, environments.size
+                agent = make_agent(spec, signature, seeds)
+                buffer = make_buffer(spec, signature, seeds, environments=size, discount=agent.discount)
             self.folder.event("layout", **environments.describe())
-            signature, size = environments.signature, environments.size
-            agent = make_agent(spec, signature, seeds)
-            buffer = make_buffer(spec, signature, seeds, environments=size, discount=agent.discount)
             pretraining_updates = spec.demonstrations.updates if spec.demonstrations else 0
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
             announce = self._announcer.announce
+            self._announcer.write = lambda: self._writer.write_progress(training)
             tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
             stack.callback(tests.close)
             finished = self._prepare(training) and self._train_and_test(training, tests)
@@ -135,6 +137,9 @@ class Run:
         if self.snapshot is not None:
             self._resume(training, self.snapshot)
         if not resumes:
+            if self.spec.continued_from is not None:
+                hint = "`karolos resume RUN training.steps=...` makes such a run"
+                raise RunError("it has no checkpoint of the run that it continues", where=self.folder.id, hint=hint)
             self._start_from(training.agent)
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:
@@ -161,7 +166,8 @@ class Run:
             self._announcer.announce("collecting demonstrations", episodes, settings.episodes)
 
         recipe = self.spec.recipe(randomize=True)
-        demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
+        with self.stop.at_once():
+            demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
         self._announcer.announce("collecting demonstrations", settings.episodes, settings.episodes)
         training.buffer.add_demonstrations(demonstrations.episodes, settings.share)
         training.seconds += demonstrations.seconds
@@ -177,7 +183,8 @@ class Run:
         for warning in snapshot.warnings:
             self._writer.warn(warning, "the run resumes from the checkpoint before")
         if snapshot.parts:
-            self._pending += self._checkpointer.restore(training, snapshot.parts)
+            with self.stop.at_once():
+                self._pending += self._checkpointer.restore(training, snapshot.parts)
             self._checkpointer.last_is_whole = snapshot.checkpoint == LAST
             snapshot.parts.clear()  # the run goes on for hours, and the buffer need not be in memory twice
         else:
@@ -191,13 +198,14 @@ class Run:
             due(training.steps)
         reported_at = -1
         episodes: list[Episode] = []
+        tests.catch_up()  # after a stop some are pending
         diverged = self._checkpointer.diverged
         for progress in training.rounds():
             episodes += progress.finished
             diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
-            self._announcer.progressed(progress)
+            self._announcer.progressed(progress, last=progress.steps >= total)
             testing = test_due(progress.steps) or progress.steps >= total
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
@@ -214,6 +222,9 @@ class Run:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
+        if tests.pending and self.stop.reason != "pruned":  # such a trial does not go on
+            late = ", ".join(f"{test.steps:,}" for test in tests.pending)
+            self._writer.warn(f"no test was played after {late} steps, where it is due", "a resumed run plays it")
         return training.steps >= total and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:
@@ -272,6 +283,7 @@ class Run:
             return False
         final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
         self._writer.write_final(final)
+        self._points.add_final(final)
         self.listener(RunFinalTested(self.folder.id, final))
         return True
 
@@ -289,14 +301,20 @@ def run_or_resume(
         beside: whether tests may be played beside training, in a second process.
 
     Raises:
-        RunError: no checkpoint can be used.
+        RunError: no checkpoint can be used, or a file that the spec names was changed.
         SpecError: its resolved spec is damaged, or of another version.
     """
     if folder.state().state == "finished":  # it may have been when the caller looked, before the lock was free
         return folder.summary()
     spec, seed = spec_from_dict(folder.spec()), folder.description()["seed"]
+    check_files(spec, folder)
     begun = folder.events() or checkpoint.names(folder.checkpoints) or folder.state().steps  # any of these may be lost
-    snapshot = newest_snapshot(folder) if begun else None
+    try:
+        with stop.at_once():
+            snapshot = newest_snapshot(folder) if begun else None
+    except StopRequestedError:
+        folder.set_state("stopped")
+        return folder.summary()
     if snapshot is not None:
         folder.next_attempt()
     return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()

@@ -25,8 +25,8 @@ LOOK_SECONDS = 0.2
 """Time between two looks for the file `stop`."""
 
 
-class StopRequestedError(Exception):
-    """Breaks off what is going on, because a stop is requested."""
+class StopRequestedError(BaseException):
+    """Breaks off what is going on, because a stop is requested. Who catches any Exception does not catch it."""
 
 
 class TimeIsUpError(BaseException):
@@ -48,6 +48,10 @@ class StopRequest:
     _reason: str | None = field(default=None, init=False)
     """The content of the file."""
     _looked: float = field(default=0.0, init=False)
+    handles_signals: bool = field(default=False, init=False)
+    """Whether signals reach it, which they do in the main thread only."""
+    breaks: bool = field(default=False, init=False)
+    """Whether a signal breaks off what is going on."""
 
     @property
     def requested(self) -> bool:
@@ -80,6 +84,31 @@ class StopRequest:
         if self.requested:
             raise StopRequestedError
 
+    @contextmanager
+    def at_once(self) -> Iterator[None]:
+        """Let a request break off the block wherever it is: for what loses nothing and may take long, e.g. building.
+
+        Raises a StopRequestedError. A block within another one changes nothing.
+        """
+        self.check()
+        if self.breaks or not self.handles_signals:
+            yield
+            return
+        left, interval = signal.setitimer(signal.ITIMER_REAL, LOOK_SECONDS, LOOK_SECONDS)
+        started, self.breaks = time.monotonic(), True
+        try:
+            yield
+        finally:
+            self.breaks = False
+            left = max(left - (time.monotonic() - started), LOOK_SECONDS) if left else 0.0
+            signal.setitimer(signal.ITIMER_REAL, left, interval)
+
+    def look(self) -> None:
+        """Break off what may be broken off, if a stop is requested."""
+        if self.breaks and self.requested:
+            self.breaks = False
+            raise StopRequestedError
+
     @property
     def exit_code(self) -> int:
         """128 + signal as in a shell, e.g. 130 after SIGINT and 143 after SIGTERM; 124 after the time limit; else 0."""
@@ -94,7 +123,8 @@ def stop_on_signals(
 ) -> Iterator[StopRequest]:
     """Turn SIGINT, SIGTERM, SIGHUP and SIGUSR1 into a stop request while the block runs.
 
-    Outside the main thread signals keep their handlers. An ignored SIGHUP stays ignored, for nohup.
+    Outside the main thread signals keep their handlers. SIGINT and SIGHUP stay ignored where they are, as under nohup
+    and in a shell's background.
 
     Args:
         time_limit: seconds from now after which to stop.
@@ -111,20 +141,26 @@ def stop_on_signals(
             request.signal = number
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
+        request.look()
 
     def interrupt(_number: int, _frame: FrameType | None) -> None:
+        request.look()
+        if request.deadline is None or time.monotonic() < request.deadline + HANG_SECONDS:
+            return  # it was only time for a look
         raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
-    handled = [signal.SIGTERM, signal.SIGINT, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
-    if signal.getsignal(signal.SIGHUP) != signal.SIG_IGN:
-        handled.append(signal.SIGHUP)
+    handled = [signal.SIGTERM, signal.SIGUSR1]  # batch systems send SIGUSR1 before they kill
+    handled += [one for one in (signal.SIGINT, signal.SIGHUP) if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in handled}
     before[signal.SIGALRM] = signal.signal(signal.SIGALRM, interrupt)
+    signal.siginterrupt(signal.SIGALRM, False)  # a look ends no system call of a library
+    request.handles_signals = True
     if time_limit is not None:
         signal.setitimer(signal.ITIMER_REAL, time_limit + HANG_SECONDS, HANG_SECONDS)
     try:
         yield request
     finally:
+        request.handles_signals = False
         signal.setitimer(signal.ITIMER_REAL, 0)
         for number, handler in before.items():
             signal.signal(number, handler)

@@ -13,7 +13,8 @@ import numpy as np
 
 from ..errors import MachineError
 from ..files import writing
-from ..records.results import TestResult, measure_means
+from ..records.results import FinalTest, TestResult, measure_means
+from ..specification.nodes import leaves
 from ..training.episodes import Episode
 from ..training.training import Training
 from .resume import Snapshot
@@ -38,15 +39,23 @@ class TensorBoardWriter:
         # Importing takes 0.2 s, which only a process that trains shall pay.
         from tensorboard.compat.proto.event_pb2 import Event, SessionLog  # noqa: PLC0415
         from tensorboard.compat.proto.summary_pb2 import Summary  # noqa: PLC0415
+        from tensorboard.plugins.hparams.summary_v2 import hparams_pb  # noqa: PLC0415
         from tensorboard.summary.writer.record_writer import RecordWriter  # noqa: PLC0415
 
         self._event, self._summary, self._writer = Event, Summary, writer
         self._path = folder / f"events.out.tfevents.{time.time_ns()}.karolos"
         with writing(self._path):
             folder.mkdir(parents=True, exist_ok=True)
+            first = not any(folder.glob("events.*"))
             self._file = self._path.open("xb")
         self._records = RecordWriter(self._file)
         self._records.write(Event(wall_time=time.time(), file_version="brain.Event:2").SerializeToString())
+        if first:
+            settings = {".".join(path): value for path, value in leaves(writer.folder.spec())}
+            known = {key: value for key, value in settings.items() if isinstance(value, bool | int | float | str)}
+            known.pop("name", None)
+            shown = hparams_pb(known, writer.folder.description()["experiment"])  # the seeds of a spec are one group
+            self._records.write(Event(wall_time=time.time(), summary=shown).SerializeToString())
         if snapshot is not None:
             purge = snapshot.meta["steps"] + 1  # points at these steps are not made again
             start = SessionLog(status=SessionLog.START)
@@ -70,6 +79,12 @@ class TensorBoardWriter:
         measured = {name: one["mean"] for name, one in measure_means(result.measures).items()}
         known = {name: mean for name, mean in measured.items() if mean is not None}
         self._add({"test": success | means, "measures": known}, result.steps)
+
+    def add_final(self, final: FinalTest) -> None:
+        """Points of the final test of `last`: the metrics of TensorBoard's HParams."""
+        last = final.last
+        success = {"success_end": last.success_end} if last.has_success else {}
+        self._add({"final": success | {"return": last.mean_return}}, last.steps)
 
     def close(self) -> None:
         with self._writer.tolerated(MachineError, "the last points are missing in TensorBoard"), writing(self._path):

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from ..core import Failure
-from ..errors import KarolosError, StoreError
+from ..errors import KarolosError, MachineError, StoreError
 from ..records import RunFolder, provenance
 from ..records.results import FinalTest, TestCounts, TestResult
 from ..records.run_records import State
@@ -84,7 +84,7 @@ class RunWriter:
             self.folder.event("started", **learner)
             return
         about = self.folder.description()
-        found = provenance.other_software({"versions": about.get("versions", {}), "source": about.get("source")})
+        found = provenance.other_software(about)
         consequence = "it may differ from an unbroken run"
         if found:
             self.warn(f"it began with other software: {'; '.join(found)}", consequence)
@@ -116,6 +116,11 @@ class RunWriter:
         self.folder.set_state("running", **training.totals())
         with self.tolerated(StoreError, "the test is in the run folder, but not in the database"):
             index_run(self.url, self.folder)
+
+    def write_progress(self, training: Training) -> None:
+        """Say how far training is, for display: a folder that cannot be written is noticed elsewhere."""
+        with suppress(MachineError):
+            self.folder.set_progress(**training.totals())
 
     def write_final(self, final: FinalTest) -> None:
         """The final test is over."""

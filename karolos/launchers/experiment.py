@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import ExitStack
+import signal
+from collections.abc import Mapping, Sequence
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from ..errors import RunError, StoreError
+from ..experiment.continuing import continue_from, continued_spec
 from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
-from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
 from ..experiment.start_from import pinned
 from ..experiment.writer import index_run
 from ..files import FileLock
@@ -107,9 +109,10 @@ class Experiment:
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
-            check: whether to raise an error once all runs have ended, if one failed.
+            check: whether to raise an error once all runs have ended, if one failed or Ctrl-C stopped them.
 
         Raises:
+            KeyboardInterrupt: Ctrl-C stopped the runs, which have their checkpoints, and `check` is on.
             RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
                 is not "ignore".
             UsageError: the spec's parts do not fit together.
@@ -120,8 +123,10 @@ class Experiment:
         jobs = min(1 if jobs is None else jobs, len(self.spec.seeds)) if is_local else jobs
         home = Home.prepared(self.spec, runs, database, existing)
         listener = listener or (print_progress if progress else lambda _: None)
-        with ExitStack() as stack, stop_on_signals(time_limit=time_limit) as stop:
-            check_parts(self.spec, jobs or 1)  # within the time limit, because an environment may hang
+        summaries: list[RunSummary] = []
+        with stop_on_signals(time_limit=time_limit) as stop, suppress(StopRequestedError), ExitStack() as stack:
+            with stop.at_once():  # within the time limit, because an environment may hang
+                check_parts(self.spec, jobs or 1)
             spec = pinned(self.spec.alone(), home.runs)
             for seed in spec.seeds:
                 claim(home, spec, seed, stack)
@@ -133,20 +138,28 @@ class Experiment:
                 with make_launcher(self.spec, jobs) as launcher:
                     Driver(launcher, listener, stop).run(Feed(job))
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
-        outcome = Outcome(tuple(summaries), len(spec.seeds), stop.exit_code)
+        outcome = Outcome(tuple(summaries), len(self.spec.seeds), stop.exit_code)
         if check:
+            if stop.signal == signal.SIGINT:
+                raise KeyboardInterrupt
             outcome.check()
         return outcome
 
 
 def resume_run(
-    folder: RunFolder, url: str, *, time_limit: float | None = None, listener: Listener | None = None
+    folder: RunFolder,
+    url: str,
+    overrides: Sequence[str] = (),
+    *,
+    time_limit: float | None = None,
+    listener: Listener | None = None,
 ) -> Outcome:
     """Resume one run from its newest checkpoint, bit for bit in lockstep. A finished run is returned as it is.
 
     Args:
         folder: the run's.
         url: SQLAlchemy URL of the results database.
+        overrides: with them, a finished run goes on as a run of its own: see `continued_spec`.
         time_limit: seconds after which to stop.
         listener: is called with every RunEvent.
 
@@ -154,13 +167,16 @@ def resume_run(
         RunError: another process is running it, or no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
+    if overrides:
+        folder = continue_from(folder, continued_spec(folder, overrides), listener or (lambda _: None))
     if folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
     spec = spec_from_dict(folder.spec())
     prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
     with stop_on_signals(time_limit=time_limit) as stop:
-        check_parts(spec)
-        summary = _execute(folder, url, listener or (lambda _: None), stop)
+        with suppress(StopRequestedError), stop.at_once():
+            check_parts(spec)
+        summary = folder.summary() if stop.requested else _execute(folder, url, listener or (lambda _: None), stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 

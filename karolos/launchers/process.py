@@ -6,25 +6,28 @@ on stdin, one a line.
 
 from __future__ import annotations
 
-import argparse
-import json
-import os
-import platform
-import signal
-import sys
-from contextlib import ExitStack, suppress
-from dataclasses import asdict
-from pathlib import Path
-from typing import Any
+from ..experiment.interrupt import BriefInterrupt
 
-from ..errors import KarolosError, MachineError
-from ..evaluation.zero_shot import ZeroShotTest
-from ..experiment.events import Listener, RunAdvanced, RunBusy, RunEvent
-from ..experiment.run import run_or_resume
-from ..experiment.signals import StopRequestedError, stop_on_signals
-from ..files import read_object, write_json, write_whole
-from ..records import RunFolder, provenance
-from .interface import LAUNCH, STOP
+with BriefInterrupt():
+    import argparse
+    import json
+    import os
+    import platform
+    import signal
+    import sys
+    from contextlib import ExitStack, suppress
+    from dataclasses import asdict
+    from pathlib import Path
+    from typing import Any
+
+    from ..errors import KarolosError, MachineError
+    from ..evaluation.zero_shot import ZeroShotTest
+    from ..experiment.events import Listener, RunAdvanced, RunBusy, RunEvent
+    from ..experiment.run import run_or_resume
+    from ..experiment.signals import StopRequestedError, stop_on_signals
+    from ..files import read_object, write_json, write_whole
+    from ..records import RunFolder, provenance
+    from .interface import LAUNCH, STOP
 
 EARLIER_PROCESS_SECONDS = 60.0
 """How long a run waits for an earlier process of the run, which writes a checkpoint and ends."""
@@ -53,7 +56,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                 provenance.check_software(launched, path.name)
             write_json(launch, launched | {"host": platform.node()})
             if test is not None:
-                with suppress(StopRequestedError):
+                with suppress(StopRequestedError), stop.at_once():
                     test.play(lambda _: stop.check())
             elif run is not None:
                 if not stop.requested:

@@ -78,7 +78,8 @@ class Home:
     def create(self, spec: Spec, seed: int) -> RunFolder:
         """A new run's folder, locked."""
         folder = RunFolder.create(self.runs, spec.name, seed)
-        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text, changed=spec.changed())
+        changed, files = spec.changed(), spec.files()
+        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text, changed=changed, files=files)
         return folder
 
 

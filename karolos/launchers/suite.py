@@ -5,6 +5,7 @@ The run folders are all that there is: a resumed suite has no state of its own.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
@@ -14,7 +15,7 @@ from time import monotonic
 from typing_extensions import override
 
 from ..errors import PluginError, UsageError
-from ..experiment.events import Listener, RunEvent, RunStarted
+from ..experiment.events import Listener, RunEvent, RunStarted, RunWarned
 from ..experiment.start_from import pinned
 from ..specification import Spec, spec_without
 from ..specification.suite import Suite
@@ -22,6 +23,9 @@ from ..training.assembly import check_parts
 from .driver import Feed, driving
 from .experiment import claim
 from .runs import Existing, Home, RunJob
+
+START_SECONDS, STEPS_PER_SECOND = 10, 330
+"""What a run takes until it trains, and the median of the reference runs (docs/results.md) on two cores."""
 
 
 @dataclass
@@ -101,6 +105,19 @@ class Shares(Feed[RunJob]):
         self._ends.pop(job, None)
         if job.finished:
             self.cut.pop(job.spec.name, None)
+
+
+def without_test(jobs: list[RunJob], seconds: float, at_once: int) -> str | None:
+    """Which specs' shares of a budget end before their first test, as far as one can tell; None: no spec's."""
+    total, least = _steps(jobs), dict[str, float]()
+    for job in jobs:
+        steps = job.spec.training.steps
+        first = START_SECONDS + min(job.spec.testing.interval, steps) / STEPS_PER_SECOND
+        least[job.spec.name] = first * total / steps / at_once
+    if not (late := [name for name, needed in least.items() if needed > seconds]):
+        return None
+    share = f"the share of the budget ends before the first test of {', '.join(late)}"
+    return f"{share}; at {STEPS_PER_SECOND} steps per second, --budget {math.ceil(max(least.values()) / 60)}m is enough"
 
 
 def _steps(jobs: Iterable[RunJob]) -> int:
@@ -187,6 +204,8 @@ def train(
                 claim(home, alone, seed, stack)
             found.jobs.append(RunJob(alone, replace(home, text=spec.text)))
         shares = None if budget is None else Shares(found.jobs, budget, jobs or 1)
+        if budget is not None and (late := without_test(found.jobs, budget, jobs or 1)) is not None:
+            listener(RunWarned(suite.name, late))
         driver.run(shares or Feed(*found.jobs))
         found.cut = shares.cut if shares else {}
         if not all(job.finished or job.spec.name in found.cut for job in found.jobs):

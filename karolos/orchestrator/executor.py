@@ -11,6 +11,7 @@ import numpy as np
 from ..core import BuildEnvironment, Discrete, Environment, Signature, Step
 from ..core.environment import close
 from ..errors import KarolosError, PluginError, WorkerError, described
+from ..registry import blaming
 from .shared_memory import EnvironmentArrays
 
 RESET = b"r"
@@ -107,15 +108,20 @@ def _check_shapes(environment: Environment, step: Step) -> None:
 
 
 def as_karolos_error(error: BaseException, where: str) -> KarolosError:
-    """A KarolosError itself; any other error as a WorkerError with the traceback."""
+    """A KarolosError itself; any other error as a WorkerError at the line that failed, with the traceback."""
     if isinstance(error, KarolosError):
         return error
-    return WorkerError(
-        described(error),
-        where=where,
-        hint="the traceback shows the line that failed in the environment or plugin",
-        traceback="".join(traceback.format_exception(error)),
-    )
+    text, plugin = "".join(traceback.format_exception(error)), None
+    frame = traceback.extract_tb(error.__traceback__)[-1]
+    place = f"{frame.filename}:{frame.lineno}"
+    try:
+        with blaming():
+            raise error
+    except PluginError as found:
+        place, plugin = str(found.where), found.plugin
+    except BaseException:  # no plugin's
+        pass
+    return WorkerError(described(error), where=f"{where}: {place}", plugin=plugin, traceback=text)
 
 
 def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:

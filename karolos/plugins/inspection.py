@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,14 @@ from ..environments.robot_task import RobotTask
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import blaming, load, names
+from ..robots.arm import Arm
+from ..robots.model import ArmModel
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
+from ..simulation.interface.robot import ControlMode
 from .contracts.case import candidate
 from .contracts.joined import CONTROLS, join
+from .proposal import doubts
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""
@@ -48,7 +52,8 @@ def pair(robot: str, task: str, engine: Engine | None = None, **robot_settings: 
 def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a robot and its gripper. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
-    modes = CONTROLS if "control" in plugin.Settings.model_fields else (None,)
+    own = "control" in plugin.Settings.model_fields
+    modes = get_args(ControlMode) if issubclass(plugin, Arm) else CONTROLS if own else (None,)
     robots = {mode: _prepared(plugin, mode) for mode in modes}
     first = next(iter(robots.values()))
     limits, workspace = first.limits, first.workspace
@@ -60,13 +65,21 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
             {"joint": place, **_named("name lower_rad upper_rad speed_rad_s torque_N_m", values)}
             for place, values in enumerate(joints, 1)
         ],
-        "tool": [{"what": what, **_named("x_m y_m z_m", place)} for what, place in places.items()],
+        "tool": [{"what": one, **_named("x_m y_m z_m", np.round(place, 6).tolist())} for one, place in places.items()],
     }
+    if isinstance(first, Arm):
+        for row, home in zip(tables["joints"], first.home_joints, strict=True):
+            row["home_rad"] = home
+        tables |= _arm(first)
     if (grip := first.gripper) is not None:
         tables["gripper"] = [_grip(grip)]
+    if isinstance(model := getattr(plugin, "model", None), ArmModel):
+        tables |= {"doubts": found} if (found := [{"doubted": line} for line in doubts(model.description)]) else {}
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
+        for row in tables[f"action{suffix}"] if isinstance(robot, Arm) else ():
+            row["an action of 1, in 1/24 s"] = _meaning(robot, row["field"])
         tables[f"observation{suffix}"] = _fields(robot.observation)
     tables["measures"] = [asdict(one) for one in first.measures]
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
@@ -95,6 +108,27 @@ def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> 
         "workspace": arms,
     }
     return Inspection(name, _about(plugin), tables, _picture(first, None, size, gripper=name) if first else None)
+
+
+def _arm(arm: Arm) -> dict[str, list[Facts]]:
+    """Where an arm carries its gripper, and where its tool is."""
+    model, flange = arm.model, arm.model.flange
+    frame = _named("x_m y_m z_m roll_rad pitch_rad yaw_rad", (*model.tool, *model.tool_rpy))
+    carried: Facts = {"payload_kg": model.payload, "gripper": model.gripper, "tool_speed_m_s": model.tool_speed}
+    if flange is not None:
+        place = _named("x_m y_m z_m roll_rad pitch_rad yaw_rad", (*flange.position, *flange.rpy))
+        carried = {"link": flange.link, **place, **carried}
+    return {"tool frame in the last link": [frame], "flange": [carried]}
+
+
+def _meaning(arm: Arm, field: str) -> str:
+    """What a number of 1 in an action does in a control step of 1/24 s."""
+    settings, what = arm.settings, "set point" if arm.settings.control == "impedance" else "tool"
+    return {
+        "joint_changes": f"{' '.join(f'{step:.3f}' for step in arm.joint_step)} rad, one for each joint",
+        "tool_position_change": f"the {what} {arm.tool_step:g} m along an axis",
+        "tool_turn": f"the {what} {settings.turn_step:g} rad about an axis",
+    }.get(field, "gripper open; -1: closed")
 
 
 def _grip(grip: Gripper | Cup) -> Facts:

@@ -76,12 +76,14 @@ class Poses:
         """The home pose with the roomiest workspace; None if the tool cannot point down anywhere around the base.
 
         The search begins in front of the base, with the tool a quarter of the arm's length above the floor. It goes on
-        lower, and then to the sides, until the goals of the tasks have room.
+        lower, far below the shoulder of an arm that stands or hangs high, and then to the sides, until the goals of the
+        tasks have room.
         """
         shoulder = self.chain.forward(self.rest.tolist()).axes[8]  # height of the second joint
         lift = max(0.0, shoulder / self.length - 0.45)  # of a base on a pedestal
         best: Place | None = None
-        ahead = product((0.0,), (0.25, 0.15, 0.08), (0.55, 0.45, 0.65, 0.35))
+        below = (-0.1, -0.25, -0.4) if lift else ()
+        ahead = product((0.0,), (0.25, 0.15, 0.08, *below), (0.55, 0.45, 0.65, 0.35))
         for direction, height, away in (*ahead, *product((-pi / 2, pi / 2, pi), (0.25, 0.15), (0.55, 0.35))):
             if best is not None and (best.room > 0.9 * GOAL_SPACE**3 or direction):
                 break
@@ -204,6 +206,8 @@ class Poses:
                     else:
                         growing.remove((side, axis))
         low, high = np.round(1000 * (start + size), 6)
-        low, high = np.ceil(low) / 1000, np.floor(high) / 1000
+        # to whole mm inwards, but not past home where a face did not grow
+        low = np.minimum(np.ceil(low), np.floor(1000 * start - 0.01)) / 1000
+        high = np.maximum(np.floor(high), np.ceil(1000 * start + 0.01)) / 1000
         (a, b, c), (d, e, f) = low.tolist(), high.tolist()
         return Box((a, b, c), (d, e, f))

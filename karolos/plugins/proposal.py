@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from itertools import product
@@ -17,6 +18,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from ..files import find_named
 from ..robots.model import ArmModel
 from ..robots.settings import ArmSettings
 from ..simulation import urdf
@@ -36,8 +38,10 @@ TOOL_NAMES = tuple(
 """Frames that are taken for the tool, the best first."""
 PARALLEL = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
-DOUBTED_SPEED = 2 * pi
-"""Speed in rad/s from which a joint's limit is doubted."""
+DOUBTED_SPEED, DOUBTED_ANGLE, DOUBTED_TRAVEL = 2 * pi, 4 * pi, 2.0
+"""Speed in rad/s, angle in rad, and speed in m/s or way in m of a slide, from which a joint's limit is doubted."""
+DOUBTED_MASS, DOUBTED_RADII, DOUBTED_LENGTH = 500.0, (0.001, 1.0), 3.5
+"""Mass of a link in kg, least and largest radius of gyration of a link in m, and length of an arm in m."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
 
@@ -116,7 +120,6 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     if dexterous is not None:
         turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
         where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
-    fast = ", ".join(joint.name for joint in joints if joint.velocity > DOUBTED_SPEED)
     filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
     slow, heavy = f"{best.tool_step} m per control step instead of {usual}", ", ".join(found.corrected)
     notes = {
@@ -125,7 +128,7 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
         hand.note: True,
         f"locked: {', '.join(joint.name for joint in still)} do not move": still,
         f"inertia of {heavy}: no body can have it; its smaller moments are raised": heavy,
-        f"speed: the URDF lets {fast} turn faster than a turn per second; compare the data sheet": fast,
+        **{f"doubted: {doubt}": True for doubt in doubts(found)},
         tool_note: True,
         f"home: tool at {_metres(best.tool)} m, pointing down; by inverse kinematics, far from joint limits": True,
         f"workspace: {_metres(low)} to {_metres(high)} m; the tool reaches it pointing down": True,
@@ -148,6 +151,33 @@ def propose(path: Path, tool: str | None = None) -> Proposal:
     gripper = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
     summary = f"{len(joints)} joints, {poses.length:.2f} m long, {gripper}."
     return Proposal(model, best.tool_step, summary, tuple(note for note, holds in notes.items() if holds))
+
+
+def doubts(found: urdf.Description) -> list[str]:
+    """What the numbers of a URDF make one doubt, each in one line: units that are mixed up, and placeholders."""
+    said: dict[str, list[str]] = defaultdict(list)
+    for joint in found.joints:
+        unit, most, fast, meant = "m", DOUBTED_TRAVEL, DOUBTED_TRAVEL, "millimetres"
+        if joint.revolute:
+            unit, most, fast, meant = "rad", DOUBTED_ANGLE, DOUBTED_SPEED, "degrees"
+        if (far := max(-joint.lower, joint.upper)) > most:
+            said[f"to {far:g} {unit}; are these {meant}?"].append(f"joint {joint.name}")
+        if joint.velocity > fast:
+            said[f"at {joint.velocity:g} {unit}/s; compare the data sheet"].append(f"joint {joint.name}")
+    moved = {joint.child for joint in found.joints}
+    for link in found.robot.findall("link"):
+        mass, _, tensor = urdf.inertia_of(link)
+        if (name := link.get("name", "")) not in moved or not mass:
+            continue
+        if mass > DOUBTED_MASS:
+            said[f"{mass:g} kg; are these grams?"].append(f"link {name}")
+        least, _, most = np.linalg.eigvalsh(tensor).tolist()
+        if not DOUBTED_RADII[0] ** 2 <= least / mass <= most / mass <= DOUBTED_RADII[1] ** 2:
+            said[f"moments from {least:.3g} to {most:.3g} kg m2 at {mass:g} kg; compare the CAD"].append(f"link {name}")
+    length = sum(float(np.linalg.norm(joint.origin)) for joint in found.joints if joint.revolute)
+    if length > DOUBTED_LENGTH:
+        said["in other units than metres?"].append(f"a length of {length:.3g} m")
+    return [f"{', '.join(of)}: {what}" for what, of in said.items()]
 
 
 def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str], tuple[str, ...]]:
@@ -287,8 +317,8 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     fingers, or the end of the last link along its joint's axis.
     """
     frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = (name for pattern in TOOL_NAMES for name in frames if pattern.search(name) and name != last.child)
-    name = named or next(usual, None)
+    usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
+    name = named or next(iter(usual), None)
     if name is not None and name not in frames:
         raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
     place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
@@ -315,6 +345,8 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     x = np.cross(hand.across, approach) if len(tips) else x - (x @ approach) * approach
     x = x / np.linalg.norm(x)
     note = f"tool: {what}, {_metres(place)} m in {last.child}; it approaches along {_metres(approach)}"
+    if others := [one for one in usual if named is None and what != f"the frame {one}"]:
+        note += f"; not {', '.join(others)}, which --tool LINK chooses"
     return place, np.column_stack([x, np.cross(approach, x), approach]), note
 
 
@@ -345,9 +377,12 @@ def _corners(shape: Element) -> Array:
 
 def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
     """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
-    text, files = urdf.text_of(path), dict[str, Path]()
-    for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in urdf.read(path).iter("mesh")})):
-        mesh = urdf.find_mesh(name, path.parent)
+    text, files, robot = urdf.text_of(path), dict[str, Path](), urdf.read(path)
+    for shape in [one for link in robot.iter("link") for one in link.findall("visual")]:
+        if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in shape.iter("mesh")):
+            shape.clear()  # such a link is drawn as it collides
+    for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in robot.iter("mesh")})):
+        mesh = find_named(name, path.parent)
         if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
             new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
             files[new] = mesh

@@ -1,6 +1,7 @@
 """Archives of run folders (.tar.gz): export and import. An imported archive is not trusted.
 
-An archive holds the files that a run has and no others. Its last member, SHA256SUMS, lists them as `sha256sum` does.
+An archive holds the files that a run has and no others, with *** in place of secrets. Its last member, SHA256SUMS,
+lists them as `sha256sum` does.
 """
 
 from __future__ import annotations
@@ -8,6 +9,7 @@ from __future__ import annotations
 import gzip
 import hashlib
 import io
+import json
 import os
 import re
 import shutil
@@ -21,8 +23,8 @@ from typing import NamedTuple
 from typing_extensions import override
 
 from ..checkpoint.manifest import PART
-from ..errors import RunError, UsageError
-from ..files import FileLock, remove_leftovers, sync_folder, writing
+from ..errors import RunError, UsageError, recorded, redact, without_folders
+from ..files import FileLock, parse_object, remove_leftovers, sync_folder, writing
 from . import RunFolder
 from .run_records import ID, RunRecord
 
@@ -51,6 +53,8 @@ _FILE = re.compile(
 """A file that a run has, by its path below the run's folder."""
 _OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop|slurm\.job")
 """Names of files between a run's process and others. They are not told as left out."""
+_TOLD = re.compile(r"(?:run|resolved|state)\.json|(?:events|transfers)\.jsonl")
+"""Files that hold what was said, in JSON."""
 _MEMBER = re.compile(rf"({ID.pattern})/(?:{_FILE.pattern})")
 
 
@@ -62,13 +66,16 @@ class ExportedRuns(NamedTuple):
     """Files in the run folders that no run has, as run/path."""
 
 
-def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True) -> ExportedRuns:
+def export_runs(
+    folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True, source: bool = True
+) -> ExportedRuns:
     """Write run folders into a new archive.
 
     Args:
         folders: none of which a process is running.
         target: ends in SUFFIX and does not exist.
         checkpoints: include them, which can be large.
+        source: include code.diff, commands, names of untracked files, tracebacks and the folders of absolute paths.
 
     Raises:
         UsageError: the target exists, or has another suffix.
@@ -93,7 +100,8 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
                             if not _FILE.fullmatch(name):
                                 left_out.append(f"{folder.id}/{name}")
                             elif checkpoints or not name.startswith("checkpoints/"):
-                                data = (folder.path / name).read_bytes()
+                                if (data := _shared(folder, name, source)) is None:
+                                    continue
                                 sums[f"{folder.id}/{name}"] = hashlib.sha256(data).hexdigest()
                                 _add(archive, f"{folder.id}/{name}", data)
                 _add(archive, SUMS, "".join(f"{sha256}  {name}\n" for name, sha256 in sums.items()).encode())
@@ -101,6 +109,33 @@ def export_runs(folders: Sequence[RunFolder], target: Path, *, checkpoints: bool
         finally:
             beside.unlink(missing_ok=True)
     return ExportedRuns(len(sums), tuple(left_out))
+
+
+def _shared(folder: RunFolder, name: str, source: bool) -> bytes | None:
+    """What an archive holds of a file; None to leave it out."""
+    data = (folder.path / name).read_bytes()
+    if name in ("code.diff", "spec.yaml"):
+        text = redact(data.decode(errors="replace"))
+        return text.encode() if source else None if name == "code.diff" else without_folders(text).encode()
+    if not _TOLD.fullmatch(name):
+        return data
+    lines = data.splitlines(keepends=True) if name.endswith("l") else [data]
+    return b"".join(_told(folder, name, line, source) for line in lines)
+
+
+def _told(folder: RunFolder, name: str, line: bytes, source: bool) -> bytes:
+    """A JSON object as an archive holds it; a line that is none stays."""
+    if (old := parse_object(line)) is None:
+        return line
+    new = recorded(old, folders=source)
+    if not source:
+        new = {key: one for key, one in new.items() if key not in ("command", "traceback", "unread")}
+        new |= {"git": new["git"] | {"untracked": []}} if new.get("git") else {}
+    if name == "run.json" and "resolved_sha256" in new:
+        resolved = _shared(folder, "resolved.json", source) if (folder.path / "resolved.json").exists() else None
+        if resolved is not None and folder.read_spec() is not None:  # a damaged one stays so
+            new["resolved_sha256"] = hashlib.sha256(resolved).hexdigest()
+    return line if new == old else json.dumps(new, indent=None if name.endswith("l") else 2).encode() + b"\n"
 
 
 def _add(archive: tarfile.TarFile, name: str, data: bytes) -> None:

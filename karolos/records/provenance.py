@@ -1,4 +1,4 @@
-"""Provenance of a run: versions, command line and code, without anything that identifies the machine."""
+"""Provenance of a run: versions, command line and code. `recorded` in `karolos.errors` decides what is shown."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import platform
 import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
@@ -16,7 +16,9 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError
+from ..errors import MachineError, is_secret, redact, without_folders
+from ..files import fingerprint
+from ..registry import KINDS, PluginEntry, entries
 
 GIT_SECONDS = 10.0
 """Time limit of one call of git; the run goes on without its answer."""
@@ -24,8 +26,13 @@ DIFF_BYTES = 1_000_000
 """Longer differences are cut off: data files do not belong into a run folder."""
 UNTRACKED_FILES = 50
 
-_CREDENTIALS = re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@")
-_GROUPS = "karolos."
+_SECRET_FILES = (
+    *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
+    *("id_rsa*", "id_dsa*", "id_ecdsa*", "id_ed25519*", "*secret*", "*credential*", "*passw*", "*api*key*.*"),
+    *("*token*.json", "*token*.txt", ".netrc", "_netrc", ".pgpass", ".npmrc", ".pypirc", ".htpasswd", ".dockercfg"),
+    *("kubeconfig", ".aws/**", ".ssh/**", ".kube/**", ".docker/**", ".gnupg/**"),
+)
+"""Files whose changes code.diff leaves out."""
 
 
 @dataclass(frozen=True)
@@ -42,56 +49,81 @@ class Code:
     """How tracked files differed, cut off at 1 MB."""
 
 
-def redact(text: str) -> str:
-    """Replace user, password and token inside URLs; in doubt, too much is replaced."""
-    return _CREDENTIALS.sub("***@", text)
-
-
 def command_line() -> list[str]:
-    """The command that started this process, without the path of the program and without passwords."""
+    """The command that started this process, without folders of absolute paths and without secrets."""
     program, *arguments = sys.argv or [""]
-    return [Path(program).name, *(redact(argument) for argument in arguments)]
+    after = [before.startswith("--") and is_secret(before) for before in ("", *arguments)]
+    told = ("***" if hidden else without_folders(redact(one)) for one, hidden in zip(arguments, after, strict=False))
+    return [Path(program).name, *told]
 
 
 @cache
 def versions() -> dict[str, str]:
-    """Versions of Python, karolos, its dependencies, and every installed plugin package."""
+    """Versions of Python, karolos, its dependencies, and every distribution of plugins."""
     names = {"karolos"}
     for requirement in metadata.requires("karolos") or []:
         if "extra ==" not in requirement:
             names.add(re.split(r"[^A-Za-z0-9._-]", requirement, maxsplit=1)[0])
-    for distribution in metadata.distributions():
-        if any(point.group.startswith(_GROUPS) for point in distribution.entry_points):
-            names.add(distribution.name)
-    found = {"python": platform.python_version()}
-    for name in sorted(names):
+    found = {entry.distribution: entry.version for entry in _plugins()}
+    for name in names:
         try:
             found[name] = metadata.version(name)
         except metadata.PackageNotFoundError:
             found[name] = "not installed"
+    return {"python": platform.python_version(), **dict(sorted(found.items()))}
+
+
+def packages(spec: Mapping[str, Any]) -> set[str]:
+    """The packages and modules of others that a resolved spec names: by their plugins, or as "module:name"."""
+    named = {text for key, value in spec.items() if key != "name" for text in _texts(value)}
+    modules = {re.split("[.:]", value)[0] for value in named if re.fullmatch(r"[A-Za-z_][\w.]*:[\w.-]+", value)}
+    return modules | {entry.package for entry in _plugins() if entry.name in named}
+
+
+def _texts(value: object) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    for one in value.values() if isinstance(value, Mapping) else value if isinstance(value, list | tuple) else ():
+        yield from _texts(one)
+
+
+def sources(names: Iterable[str] | None = None, unread: list[str] | None = None) -> dict[str, str]:
+    """SHA-256 (hex) of the source of karolos and of these packages and modules, those that are installed.
+
+    Args:
+        names: by default of all plugins.
+        unread: gets a line for each file that does not count, see `fingerprint`.
+    """
+    found = {}
+    for name in sorted({"karolos", *({entry.package for entry in _plugins()} if names is None else names)}):
+        try:
+            spec = find_spec(name)
+        except Exception:  # an importer of anybody
+            continue
+        places = spec.submodule_search_locations or (spec.origin or "",) if spec else ()
+        notes: list[str] = []
+        prints = [one for place in places if (one := fingerprint(Path(place), notes, follow=name != "karolos"))]
+        if unread is not None:
+            unread += [f"{name}: {note}" for note in notes]
+        if prints:
+            found[name] = prints[0] if len(prints) == 1 else hashlib.sha256("".join(prints).encode()).hexdigest()
     return found
 
 
-@cache
-def source() -> str:
-    """SHA-256 (hex) of the source of karolos and of every installed plugin's package."""
-    packages = {"karolos"}
-    for distribution in metadata.distributions():
-        points = distribution.entry_points
-        packages |= {point.module.partition(".")[0] for point in points if point.group.startswith(_GROUPS)}
-    digest = hashlib.sha256()
-    for package in sorted(packages):
-        spec = find_spec(package)
-        folders = (spec.submodule_search_locations or (spec.origin or "",)) if spec else ()
-        for folder in map(Path, folders):
-            for path in sorted(folder.rglob("*.py")) if folder.is_dir() else [folder]:
-                digest.update(f"{package} {path.relative_to(folder)}\n".encode() + path.read_bytes())
-    return digest.hexdigest()
+def source_of_others(found: Mapping[str, str]) -> str | None:
+    """One hash of `sources`, without karolos itself; None if that is all."""
+    others = sorted(f"{name} {digest}" for name, digest in found.items() if name != "karolos")
+    return hashlib.sha256("\n".join(others).encode()).hexdigest() if others else None
+
+
+def _plugins() -> Iterator[PluginEntry]:
+    """The plugins of others."""
+    return (entry for kind in KINDS for entry in entries(kind) if entry.package != "karolos")
 
 
 def software() -> dict[str, Any]:
-    """`versions` and `source` of this process."""
-    return {"versions": versions(), "source": source()}
+    """`versions` and `sources` of this process."""
+    return {"versions": versions(), "sources": sources()}
 
 
 def other_versions(other: Mapping[str, str]) -> list[str]:
@@ -103,10 +135,9 @@ def other_versions(other: Mapping[str, str]) -> list[str]:
 
 def other_software(other: Mapping[str, Any]) -> list[str]:
     """How `software` is another one here; nothing is said of a source that is not known."""
-    found = other_versions(other.get("versions", {}))
-    if not found and other.get("source") not in (None, source()):
-        found = ["the source of karolos or a plugin is another one"]
-    return found
+    found, known = other_versions(other.get("versions", {})), other.get("sources") or {}
+    own = {} if found else sources(known)
+    return found or [f"the source of {name} is another one" for name in known if known[name] != own.get(name)]
 
 
 def check_software(launched: Mapping[str, Any], where: str) -> None:
@@ -134,7 +165,8 @@ def code(folder: Path) -> Code | None:
     entries = [entry for entry in status.split("\0") if entry]
     untracked = [entry[3:] for entry in entries if entry.startswith("??")]
     dirty = any(not entry.startswith("??") for entry in entries)
-    diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--") or ""
+    files = (":/", *(f":(top,exclude,icase,glob)**/{pattern}" for pattern in _SECRET_FILES))
+    diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--", *files) or ""
     return Code(commit.strip(), dirty, tuple(untracked[:UNTRACKED_FILES]), redact(diff))
 
 

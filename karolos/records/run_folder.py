@@ -15,7 +15,7 @@ from pathlib import Path
 from time import monotonic
 from typing import Any, TypeVar
 
-from ..errors import MachineError, RunError
+from ..errors import MachineError, RunError, recorded, redact
 from ..files import (
     UNFINISHED,
     FileLock,
@@ -150,6 +150,8 @@ class RunFolder:
         text: str | None = None,
         source: Path | None = None,
         changed: Mapping[str, Any] | None = None,
+        continued_from: Mapping[str, Any] | None = None,
+        files: Mapping[str, str] | None = None,
     ) -> None:
         """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
 
@@ -159,10 +161,13 @@ class RunFolder:
             text: the spec as its author wrote it.
             source: the folder whose git work tree is recorded; the current one by default.
             changed: the settings of the spec that differ from their defaults, as JSON values.
+            continued_from: the run, and its steps, from whose end this one goes on.
+            files: `Spec.files`.
         """
+        unread: list[str] = []
         code = provenance.code(source or Path.cwd())
         if text is not None:
-            write_whole(self.path / "spec.yaml", text)
+            write_whole(self.path / "spec.yaml", redact(text))
         if code and code.diff:
             write_whole(self.path / "code.diff", code.diff)
         write_json(self.path / "resolved.json", resolved)
@@ -171,13 +176,16 @@ class RunFolder:
             "changed": changed,
             "resolved_sha256": sha256((self.path / "resolved.json").read_bytes()).hexdigest(),
             "versions": provenance.versions(),
-            "source": provenance.source(),
+            "sources": provenance.sources(provenance.packages(resolved), unread),
+            "unread": unread,
+            "files": files,
             "machine": provenance.kind_of_machine(),
             "command": provenance.command_line(),
             "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
         }
+        self._run |= {} if continued_from is None else {"continued_from": continued_from}
         self._write_state(RunState("created"))
-        write_json(self.path / "run.json", self._run)
+        write_json(self.path / "run.json", recorded(self._run))
 
     def description(self) -> dict[str, Any]:
         """The content of run.json: id, experiment, name, seed, created, versions, command, git."""
@@ -189,12 +197,12 @@ class RunFolder:
         Raises:
             RunError: its file is missing or damaged, or was changed after the run had begun.
         """
-        spec = self._read_spec()
+        spec = self.read_spec()
         if spec is None:
             raise RunError(f"resolved.json is {DAMAGED_SPEC}", where=self.id, hint="restore the folder from a copy")
         return spec
 
-    def _read_spec(self) -> dict[str, Any] | None:
+    def read_spec(self) -> dict[str, Any] | None:
         """The resolved spec; None if it cannot be trusted."""
         try:
             data = (self.path / "resolved.json").read_bytes()
@@ -211,7 +219,11 @@ class RunFolder:
             error: why it failed, in one line.
             amounts: steps, seconds and updates of training so far; what is not given keeps its value.
         """
-        self._write_state(replace(self._stored_state(), state=state, error=error, **amounts))
+        self._write_state(replace(self._stored_state(), state=state, error=error and redact(error), **amounts))
+
+    def set_progress(self, **amounts: Any) -> None:
+        """Say how far a running run is: steps, seconds and updates. Does not wait for the disk."""
+        self._write_state(replace(self._stored_state(), **amounts), durable=False)
 
     def next_attempt(self) -> int:
         """Count one more process that continues this run; returns its number, from 1."""
@@ -225,7 +237,7 @@ class RunFolder:
 
     def event(self, kind: str, **data: Any) -> None:
         """Append an event; `data` are JSON values."""
-        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **data}])
+        append_lines(self.path / "events.jsonl", [{"time": timestamp(), "event": kind, **recorded(data)}])
 
     def events(self) -> tuple[dict[str, Any], ...]:
         """The events in order; `record().problems` names lines that cannot be read."""
@@ -291,7 +303,7 @@ class RunFolder:
 
     def record(self) -> RunRecord:
         """The content of the folder, and what is damaged or missing in it."""
-        spec = self._read_spec()
+        spec = self.read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
         # After the state: a finished run has all its tests.
@@ -336,6 +348,7 @@ class RunFolder:
             updated=state.updated or self._run["created"],
             folder=str(self.path.resolve()),
             final=final is not None,
+            source=provenance.source_of_others(self._run.get("sources") or {}),
             best_steps=getattr(best, "steps", None),
             best_any=getattr(best, "success_any", None),
             best_end=getattr(best, "success_end", None),
@@ -353,10 +366,10 @@ class RunFolder:
     def _stored_state(self) -> RunState:
         return read_json(RunState, self.path / "state.json") or RunState("running")
 
-    def _write_state(self, state: RunState) -> None:
+    def _write_state(self, state: RunState, *, durable: bool = True) -> None:
         if self._locked_at is not None:
             state = replace(state, total_seconds=self._earlier_seconds + monotonic() - self._locked_at)
-        write_json(self.path / "state.json", asdict(replace(state, updated=timestamp())))
+        write_json(self.path / "state.json", asdict(replace(state, updated=timestamp())), durable=durable)
 
 
 def _count_test(line: bytes) -> TestCounts | None:

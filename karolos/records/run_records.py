@@ -53,13 +53,20 @@ class RunDescription(TypedDict):
     seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
+    continued_from: NotRequired[dict[str, Any]]
+    """The run, and its steps, from whose end this one goes on."""
     changed: NotRequired[dict[str, Any] | None]
     """Settings that differ from their defaults; None if that is not known."""
     resolved_sha256: NotRequired[str]
     """Of the file resolved.json."""
     versions: NotRequired[dict[str, str]]
     """Of Python, karolos, plugins and their dependencies when the run began."""
-    source: NotRequired[str]
+    sources: NotRequired[dict[str, str]]
+    """SHA-256 of karolos and of the packages and modules that the spec names."""
+    unread: NotRequired[list[str]]
+    """Files of these that do not count, and why."""
+    files: NotRequired[dict[str, str] | None]
+    """Key path -> SHA-256 of the file that the setting names, and of what that names."""
     machine: NotRequired[str]
     command: NotRequired[list[str]]
     git: NotRequired[GitCommit | None]
@@ -157,6 +164,8 @@ class RunSummary:
     """That of the policy `best`."""
     measures: dict[str, MeasureMean] = field(default_factory=dict, hash=False)
     """By name, those of the test that success and return are of."""
+    source: str | None = None
+    """Hash of the plugins and modules of others that the spec names; None: it names none, or they are not known."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""

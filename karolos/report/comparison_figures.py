@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from typing import Literal
 
 import numpy as np
@@ -12,14 +12,18 @@ from numpy.typing import NDArray
 from ..comparison import Comparison, Contender, Estimate, Metric, conditions, learning_curve
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
+from ..errors import UsageError
+from ..registry import alternatives
 from ..statistics import aggregates
 from .comparison_tables import decimal, estimate
-from .figures import COLOURS, Drawing, look, short, style
+from .figures import COLOURS, Drawing, file_name, look, short, style
 from .tables import heading
 
 _Floats = NDArray[np.float64]
 HOVERED = 25
 """Points of a curve, at the most about twice as many, that tell their values on hover."""
+MOST_APART = 200
+"""Most lines of a contender's seeds, and most dots that tell their names on hover: more cannot be told apart."""
 SPREAD_POINTS, SEEN = 201, 0.995
 """Points of a distribution, and the share of the episodes up to which it is shown."""
 WIDE = 8
@@ -32,31 +36,28 @@ _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
 
 _LABELS: dict[Metric, str] = {
     "any": "success ratio at any step",
-    "end": "success ratio at the end of the episode",
+    "end": "success ratio at the end",
     "return": "mean return of an episode",
 }
 
 
-def comparison_figures(comparison: Comparison) -> list[Drawing]:
-    """Every figure: learning twice, seeds twice, a density for each contender, one figure for each measure and setting.
+def comparison_figures(comparison: Comparison, chosen: Collection[str] = ()) -> dict[str, list[Drawing]]:
+    """The figures by kind, or those whose kind or name is chosen, without any in which nothing would be seen.
 
-    There are no densities of returns. Settings are those that `karolos test` gave other numbers.
+    Raises UsageError if no figure has a chosen name.
     """
-    return [
-        learning(comparison, "steps"),
-        learning(comparison, "seconds"),
-        final(comparison),
-        profiles(comparison),
-        *density_figures(comparison),
-        *measure_figures(comparison),
-        *condition_figures(comparison),
-    ]
+    drawn = {kind: [one for one in draw(comparison) if one.shows_something] for kind, draw in KINDS.items()}
+    known = [*KINDS, *(one.name for drawings in drawn.values() for one in drawings)]
+    if name := next((name for name in chosen if name not in known), None):
+        raise UsageError(f"there is no figure {name!r}", where="--figure", hint=alternatives(name, known))
+    wanted = {*(chosen or KINDS)}
+    return {kind: [one for one in found if wanted & {kind, one.name}] for kind, found in drawn.items()}
 
 
-def titled_curve(comparison: Comparison, place: int, title: str) -> Drawing:
-    """Learning over steps, on a page with several such figures, of which this is number `place`."""
+def titled_curve(comparison: Comparison, title: str) -> Drawing:
+    """Learning over steps, on a page with several such figures."""
     drawing = learning(comparison, "steps")
-    drawing.name = f"learning_{place}"
+    drawing.name = file_name(title)
     drawing.axes.set_title(title, loc="left")
     return drawing
 
@@ -80,10 +81,8 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
         colour, at = style(series)["color"], curve.at / scale
         band = axes.fill_between(at, curve.low, curve.high, color=colour, alpha=0.16, linewidth=0)
         drawing.part(band, f"band series-{series}")
-        for place, run in enumerate(contender.runs):
-            x = places(run, axis) / scale
-            [line] = axes.plot(x, run.values(metric), **style(series), linewidth=0.6, alpha=0.45)
-            drawing.part(line, f"seed series-{series}", _run_text(contender, place))
+        names = [_run_text(contender, place) for place in range(len(contender.runs))]
+        _seeds(drawing, series, [(places(run, axis) / scale, run.values(metric)) for run in contender.runs], names)
         alone = "o" if at.size == 1 else ""  # a single point would not be seen
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, marker=alone, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
@@ -126,10 +125,10 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
     for name, one in comparison.measures.items():
         estimates = [scores.measures.get(name) for scores in comparison.scores]
         known = [found for found in estimates if found is not None]
-        if not known:
-            continue
-        span = max(found.high for found in known) - min(found.low for found in known)
-        drawing = Drawing(f"measure_{name}", name, f"The {one['better']} the better.")
+        span = max((found.high for found in known), default=0) - min((found.low for found in known), default=0)
+        if not span:
+            continue  # a single run, or a force of 0 in all of them
+        drawing = Drawing(file_name(f"measure_{name}"), name, f"The {one['better']} the better.")
         drawing.figure.set_figheight(1 + 0.5 * len(estimates))
         values = [[run.measured(name) for run in contender.runs] for contender in comparison.contenders]
         _dots(drawing, comparison, values, estimates, span)
@@ -145,14 +144,15 @@ def _spread(comparison: Comparison, name: str) -> list[Drawing]:
     if not known:
         return []
     caption = "Share of the final test's episodes with at most this value. Bold: mean over seeds; thin: each seed."
-    drawing = Drawing(f"measure_{name}_spread", f"{name}, episode by episode", caption)
+    drawing = Drawing(file_name(f"measure_{name}_spread"), f"{name}, episode by episode", caption)
     low, high = min(float(one[0]) for one in known), max(float(np.quantile(one, SEEN)) for one in known)
-    at = np.linspace(low, high, SPREAD_POINTS) if high > low else np.array([low, low + 1.0])
+    if low == high:
+        return []
+    at = np.linspace(low, high, SPREAD_POINTS)
     for series, runs in enumerate(finals):
         shares = [np.searchsorted(np.sort(values), at, side="right") / len(values) for values in runs if len(values)]
-        for share in shares if len(shares) > 1 else ():
-            [line] = drawing.axes.plot(at, share, **style(series), linewidth=0.6, alpha=0.45)
-            drawing.part(line, f"seed series-{series}")
+        if len(shares) > 1:
+            _seeds(drawing, series, [(at, share) for share in shares])
         if shares:
             [line] = drawing.axes.plot(at, np.mean(shares, 0), **style(series), linewidth=2)
             drawing.part(line, f"main series-{series}", comparison.labels[series])
@@ -170,7 +170,7 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     drawings = []
     for setting in sorted({setting for one in found for setting in one}):
         caption = "Tests of policies with other values of this setting. Mean over seeds with its interval (95 %)."
-        drawing = Drawing(f"over_{setting}", f"Success over {setting}", caption)
+        drawing = Drawing(file_name(f"over_{setting}"), f"Success over {setting}", caption)
         every = [value for one in found if setting in one for value in one[setting].success]
         for series, one in enumerate(found):
             if setting not in one:
@@ -196,6 +196,18 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
     return drawings
 
 
+def _seeds(
+    drawing: Drawing, series: int, lines: Sequence[tuple[_Floats, Sequence[float] | _Floats]], names: Sequence[str] = ()
+) -> None:
+    """A thin line for each seed of a contender, or for some of very many; `names` are told on hover."""
+    every = math.ceil(len(lines) / MOST_APART)
+    for place, (x, y) in list(enumerate(lines))[::every]:
+        [line] = drawing.axes.plot(x, y, **style(series), linewidth=0.6, alpha=0.45)
+        drawing.part(line, f"seed series-{series}", names[place] if names else "")
+    if every > 1:
+        drawing.caption += f" One line for {every} of the {len(lines):,} seeds is shown."
+
+
 def _dots(
     drawing: Drawing,
     comparison: Comparison,
@@ -216,9 +228,14 @@ def _dots(
     for series, (contender, found) in enumerate(zip(comparison.contenders, estimates, strict=True)):
         dots = np.array(values[series], float)  # None becomes nan
         row, colour = count - series, style(series)["color"]
-        for place, (x, y) in enumerate(zip(dots, row + _offsets(dots, span or 1.0), strict=True)):
+        heights = row + _offsets(dots, span or 1.0)
+        texts = [f"{_run_text(contender, place)}, {x:.4g}" for place, x in enumerate(dots)]
+        points = list(zip(dots[:, None], heights[:, None], texts, strict=True))
+        if dots.size > MOST_APART:
+            points = [(dots, heights, f"{contender.label}: {dots.size:,} seeds")]
+        for x, y, text in points:
             [dot] = axes.plot(x, y, "o", color=colour, alpha=0.75, markersize=4.5, markeredgewidth=0, clip_on=False)
-            drawing.part(dot, f"dot series-{series}", f"{_run_text(contender, place)}, {x:.4g}")
+            drawing.part(dot, f"dot series-{series}", text)
         if found is None:
             continue
         [line] = axes.plot([found.low, found.high], [row - 0.3] * 2, color=colour, linewidth=1.2)
@@ -243,6 +260,8 @@ def profiles(comparison: Comparison) -> Drawing:
     for series, contender in enumerate(comparison.contenders):
         values = [run.reported(comparison.metric) for run in contender.runs]
         thresholds = np.unique([*values, *_ends(comparison)])
+        if np.isnan(values).all() or thresholds.size == 1:
+            continue  # nothing would be seen
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(
             thresholds, aggregates.profile(values, thresholds), where="pre", **style(series), linewidth=2
@@ -266,11 +285,11 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
     found = {series: scores.over_steps for series, scores in enumerate(comparison.scores) if scores.over_steps}
     several = {series: comparison.contenders[series] for series in found}
     peak = max((float(one.density.max()) for _, each in found.values() for one in each), default=1.0)
-    drawings = []
+    drawings, names = [], [file_name(label) for label in comparison.labels]
     for series, (at, each) in found.items():
-        contender = several[series]
+        contender, name = several[series], names[series]
         drawing = Drawing(
-            f"density_{series + 1}",
+            f"density_{name}{f'_{series + 1}' * (names.count(name) > 1)}",
             contender.label,
             f"{len(contender.runs)} seeds. Darkest: a density of {peak:.0f}.",
             series,
@@ -293,6 +312,18 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         _metric_axis(drawing, "y", comparison, data=(min(low for low, _ in ends), max(high for _, high in ends)))
         drawings.append(drawing)
     return drawings
+
+
+KINDS: dict[str, Callable[[Comparison], list[Drawing]]] = {
+    "steps": lambda comparison: [learning(comparison, "steps")],
+    "time": lambda comparison: [learning(comparison, "seconds")],
+    "final": lambda comparison: [final(comparison)],
+    "profiles": lambda comparison: [profiles(comparison)],
+    "densities": density_figures,
+    "measures": measure_figures,
+    "settings": condition_figures,
+}
+"""What can be drawn: learning twice, the seeds twice, and a figure for each contender, measure and tested setting."""
 
 
 def heat_map(
@@ -368,25 +399,33 @@ def _metric_axis(
 ) -> None:
     """An axis of what is compared. That of a ratio shows the part of 0 to 1 that holds the data, and says so.
 
+    What lies on its border is drawn whole.
+
     `data`: the smallest and the largest ratio; None: of what was drawn.
     """
-    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=False)
-    if comparison.metric == "return":
-        return
     low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
     margin = max(0.06 * (high - low), 0.003)
-    low, high = max(low - margin, -margin), min(high + margin, 1 + margin)
-    if high - low > WHOLE:
-        _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}")
-        return
-    drawing.axes.set(**{f"{axis}lim": (low, high)})
-    drawing.caption += f" The axis shows {max(low, 0):.2g} to {min(high, 1):.2g} only."
+    low, high = max(low - margin, 0), min(high + margin, 1)
+    part = (low, high) if drawing.shows_something and high - low <= WHOLE else None
+    ratio = comparison.metric != "return"
+    _value_axis(drawing, axis, f"{before}{_LABELS[comparison.metric]}", ratio=ratio, part=part)
+    drawing.caption += f" The axis shows {low:.2g} to {high:.2g} only." if ratio and part else ""
 
 
-def _value_axis(drawing: Drawing, axis: Literal["x", "y"], label: str, *, ratio: bool = True) -> None:
-    """An axis with lines across; that of a ratio is from 0 to 1, with room for what is on the border."""
-    ends = {f"{axis}lim": (-0.03, 1.03), f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)} if ratio else {}
-    drawing.axes.set(**{f"{axis}label": label}, **ends)
+def _value_axis(
+    drawing: Drawing,
+    axis: Literal["x", "y"],
+    label: str,
+    *,
+    ratio: bool = True,
+    part: tuple[float, float] | None = None,
+) -> None:
+    """An axis with lines across; that of a ratio is a part of 0 to 1 or all of it. Lines on its border are not cut."""
+    drawing.axes.set(**{f"{axis}label": label})
+    if ratio:
+        drawing.axes.set(**{f"{axis}lim": part or (0, 1)} | ({} if part else {f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)}))
+        for line in drawing.axes.lines:
+            line.set_clip_on(False)
     drawing.axes.grid(visible=True, axis=axis)
 
 

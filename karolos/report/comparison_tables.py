@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from ..comparison import MISSING, Comparison, Estimate, Reaching, Scores
 from ..comparison.differences import SideDifference
-from .tables import Columns, Table, count, decimals, duration, heading, setting
+from ..records.run_records import flatten
+from .tables import Columns, Table, count, csv_text, decimals, duration, heading, latex, setting
 
 _INTERVALS = {
     "bootstrap": "[low, high]: 95 % bootstrap interval over 10 seeds or more",
@@ -103,6 +105,16 @@ def parameters_table(comparison: Comparison) -> Table:
     """The settings that differ, one column per contender."""
     rows = [(path, *map(_value, values)) for path, values in comparison.parameters.items()]
     return Table(["setting", *comparison.labels], rows, "settings that differ")
+
+
+def comparison_file(comparison: Comparison, suffix: str) -> str:
+    """The numbers for a file .csv, one row per contender with the fields of `rows`; or for .tex, as in the tables."""
+    if suffix == ".csv":
+        return csv_text([dict(flatten(row)) for row in comparison.rows()])
+    scores = scores_table(comparison)
+    experiments = [f"{one.label}: experiment {one.experiment}" for one in comparison.contenders]
+    notes = ["needs \\usepackage{booktabs}", *experiments, *explanations(comparison)]
+    return latex([replace(scores, rows=scores.rows[1:]), measures_table(comparison)], notes)
 
 
 def differences_table(differences: Sequence[SideDifference], a: str, b: str) -> Table:

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import re
+import threading
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
+from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -31,12 +33,15 @@ FONT = 9
 _UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}
 
 
+_LOOKING = threading.RLock()
+
+
 @contextmanager
 def look() -> Iterator[None]:
-    """The settings of matplotlib under which figures are drawn and written."""
+    """The settings of matplotlib under which figures are drawn and written. One thread at a time has them."""
     import matplotlib  # noqa: PLC0415  (takes half a second)
 
-    with matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
+    with _LOOKING, matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Glyph .* missing from")  # a browser has fonts that matplotlib lacks
         yield
 
@@ -48,6 +53,11 @@ def short(text: str, length: int = 28) -> str:
         return text
     head = (length - 1) // 2
     return f"{text[:head]}…{text[len(text) - (length - 1 - head) :]}"
+
+
+def file_name(text: str) -> str:
+    """A text as part of the name of a file."""
+    return re.sub(r"[^\w.-]+", "_", text)[:100]
 
 
 def style(series: int) -> dict[str, Any]:
@@ -75,6 +85,11 @@ class Drawing:
         self.axes.set_title(short(title, 44))
         self.parts: dict[str, tuple[str, str]] = {}
         """Group id of an artist -> class names and tooltip of its element in the page."""
+
+    @property
+    def shows_something(self) -> bool:
+        """Whether anything that was drawn has a place on the axes: a return that is not a number has none."""
+        return bool(isfinite(self.axes.dataLim.x1 + self.axes.dataLim.y1))
 
     def part(self, artist: Artist, classes: str, tooltip: str = "") -> None:
         """Give an artist class names and a tooltip in the page."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections import defaultdict
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -82,38 +83,40 @@ def _cleaned(value: object) -> object:
     return value if isinstance(value, Markup) else clean(value, allowed="\n\N{NO-BREAK SPACE}")
 
 
-def comparison_page(comparison: Comparison, drawings: Sequence[Drawing]) -> str:
-    """A comparison as a page, with its figures."""
+def comparison_page(comparison: Comparison, drawings: Mapping[str, Sequence[Drawing]]) -> str:
+    """A comparison as a page, with its figures by kind."""
     labels = comparison.labels
     title = f"{' and '.join(labels) if len(labels) < 3 else f'{labels[0]} and {len(labels) - 1} others'} compared"
     what = f"{sum(len(one.runs) for one in comparison.contenders)} runs"
     return document(title, what, comparison_sections(comparison, drawings), comparison.warnings, labels)
 
 
-def comparison_sections(comparison: Comparison, drawings: Sequence[Drawing]) -> list[Section]:
-    """The parts of a comparison's page."""
+def comparison_sections(comparison: Comparison, drawings: Mapping[str, Sequence[Drawing]]) -> list[Section]:
+    """The parts of a comparison's page, with the figures of each kind that is there."""
     labels, same = comparison.labels, not comparison.parameters
-    no_density = f"{'Returns have' if comparison.metric == 'return' else 'A single seed has'} no density."
     settings = Section(
         "Settings that differ",
         "The specs are the same." if same else "",
         table=None if same else parameters_table(comparison),
     )
-    densities, measures, changed = (
-        [one for one in drawings if one.name.startswith(kind)] for kind in ("density_", "measure_", "over_")
-    )
-    measured = [Section("Measures", table=measures_table(comparison)), Section(figures=measures)]
+    of = defaultdict[str, Sequence[Drawing]](tuple, drawings)
+    measures = measures_table(comparison)
     return [
         Section(text=verdict(comparison)),
-        Section("Learning", figures=drawings[:2]),
+        *_drawn("Learning", [*of["steps"], *of["time"]]),
         Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
-        *(measured if measures else []),
-        *([Section("Under other settings", figures=changed)] if changed else []),
+        *([Section("Measures", table=measures)] if measures.rows else []),
+        *_drawn("", of["measures"]),
+        *_drawn("Under other settings", of["settings"]),
         *([settings] if len(labels) > 1 else []),
-        Section("Seeds", figures=drawings[2:4]),
-        Section("Density of the success ratio over training", _DENSITIES if densities else no_density, densities),
+        *_drawn("Seeds", [*of["final"], *of["profiles"]]),
+        *_drawn("Density of the success ratio over training", of["densities"], _DENSITIES),
         _runs_section(comparison),
     ]
+
+
+def _drawn(heading: str, figures: Sequence[Drawing], text: str = "") -> list[Section]:
+    return [Section(heading, text, figures)] if figures else []
 
 
 def _runs_section(comparison: Comparison) -> Section:

@@ -101,7 +101,7 @@ def write_report(report: SuiteReport, path: Path) -> None:
         grid.figure.set_figheight(1.2 + 0.3 * len(rows))
         if succeeds := any(one.scores.end for one in report.entries):
             heat_map(grid, rows, robots)
-        curves = [titled_curve(one.comparison, place, one.spec.name) for place, one in enumerate(report.entries)]
+        curves = [titled_curve(one.comparison, one.spec.name) for one in report.entries]
     runs = [run.summary for entry in report.entries for run in entry.runs]
     sections = [
         Section(text=verdict(report), figures=[grid] if succeeds else []),

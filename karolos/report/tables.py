@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from statistics import fmean, median
@@ -63,6 +66,59 @@ def clean(text: object, allowed: str = "") -> str:
         character if character.isprintable() or character in allowed else "\N{REPLACEMENT CHARACTER}"
         for character in str(text)
     )
+
+
+def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
+    """Rows as comma-separated values under the names of all of them; a list is one cell.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front (OWASP, CSV injection).
+    """
+    text, names = io.StringIO(), list(dict.fromkeys(name for row in rows for name in row))
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerows([[_csv_cell(row.get(name)) for name in names] for row in ({one: one for one in names}, *rows)])
+    return text.getvalue() if names else ""
+
+
+def _csv_cell(value: Any) -> object:
+    if isinstance(value, list | tuple):
+        value = "; ".join(map(str, value))
+    if isinstance(value, Mapping):
+        return json.dumps(finite(value))
+    if not isinstance(value, str):
+        return value
+    text = clean(value, allowed="\n")
+    return f"'{text}" if text.lstrip().startswith(("=", "+", "-", "@")) else text
+
+
+def finite(value: Any) -> Any:
+    """The value with null for numbers that JSON lacks: nan and the infinities."""
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): finite(entry) for key, entry in value.items()}
+    if isinstance(value, list | tuple):
+        return [finite(entry) for entry in value]
+    return value
+
+
+_NAMED = {"\\": "backslash", "~": "asciitilde", "^": "asciicircum", "<": "less", ">": "greater", "|": "bar"}
+_LATEX = {sign: f"\\text{name}{{}}" for sign, name in _NAMED.items()} | {sign: f"\\{sign}" for sign in "&%$#_{}"}
+_LATEX |= {"\N{INFINITY}": "$\\infty$", "\N{REPLACEMENT CHARACTER}": "?"}
+
+
+def latex(tables: Iterable[Table], notes: Iterable[str] = ()) -> str:
+    """Tables of the same columns below each other, in LaTeX with the package booktabs; notes as comments above."""
+    blocks = [(table.columns, [_latex_row(row) for row in table.rows]) for table in tables if table.rows]
+    columns = blocks[0][0]
+    lines = [*(f"% {clean(note)}" for note in notes), f"\\begin{{tabular}}{{{'l' * len(columns)}}}", "\\toprule"]
+    lines += [_latex_row(columns), *(line for _, rows in blocks for line in ("\\midrule", *rows))]
+    return "\n".join([*lines, "\\bottomrule", "\\end{tabular}", ""])
+
+
+def _latex_row(cells: Iterable[str]) -> str:
+    texts = ["".join(_LATEX.get(sign, sign) for sign in clean(cell)) for cell in cells]
+    signed = [re.sub(r"(?<!\w)-(?=[\d.])", "$-$", re.sub(r"(?<!\S)-(?!\S)", "--", text)) for text in texts]
+    return f"{{}}{' & '.join(signed)} \\\\"  # without {} a * or [ would belong to the \\\\ before it
 
 
 def duration(seconds: float | None) -> str:
@@ -142,7 +198,9 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
 
 
 def run_state(run: RunSummary) -> str:
-    """The state, and whether a run that has ended made no gradient update."""
+    """The state, the speed of a run that trains, and whether one that has ended made no gradient update."""
+    if run.state == "running" and run.seconds:
+        return f"running, {run.steps / run.seconds:,.0f} steps/s"
     return f"{run.state}, no update" if run.updates == 0 and run.state in ("finished", "stopped") else run.state
 
 

@@ -1,11 +1,12 @@
 """Fixtures and objects with joints from somebody's URDF or MJCF file, each name and number checked.
 
 Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir>, <asset> with <mesh name file
-scale>, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or euler, further bodies, at most
-one <joint> (name, type hinge or slide, pos, axis, range, damping, frictionloss), at most one <inertial> (pos, quat,
-mass, diaginertia), and <geom> (type, size, pos, quat or euler, fromto, mesh, mass or density). What is only drawn or
-measured is left out: geoms with contype and conaffinity 0, cameras, lights, sites, sensors, options. A link has the
-name of its joint, and is equally dense everywhere unless it has an <inertial>.
+scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or euler,
+childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping, frictionloss), at
+most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler, fromto, mesh, mass or
+density). What is only drawn or measured is left out: geoms with contype and conaffinity 0, materials, cameras, lights,
+sites, sensors, options. A link has the name of its joint. Without an <inertial>, its inertia is that of its geoms, each
+with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
 """
 
 from __future__ import annotations
@@ -23,19 +24,24 @@ from ..errors import PluginError, UsageError
 from . import meshes, urdf
 from .geometry import Quaternion, Vector, matrix_of, quaternion_of
 from .parts import Link, Mechanism, mechanism
-from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, volume_of
+from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, inertia_of, volume_of
 
-_LEFT_OUT = {"option", "visual", "statistic", "size", "sensor", "camera", "light", "site", "keyframe", "custom"}
+_LEFT_OUT = {
+    *("option", "visual", "statistic", "size", "sensor", "camera", "light", "site", "keyframe", "custom", "material"),
+    "texture",
+}
 _ATTRIBUTES = {
     "mujoco": "model",
     "compiler": "angle meshdir autolimits",
     "asset": "",
     "worldbody": "",
-    "mesh": "name file scale",
-    "body": "name pos quat euler",
-    "joint": "name type pos axis range limited damping frictionloss",
+    "default": "class",
+    "mesh": "name class file scale",
+    "body": "name childclass pos quat euler",
+    "joint": "name class type pos axis range limited damping frictionloss",
     "inertial": "pos quat mass diaginertia",
-    "geom": "name type size pos quat euler fromto mesh mass density rgba friction group condim contype conaffinity",
+    "geom": "name class type size pos quat euler fromto mesh mass density rgba material friction group condim contype "
+    "conaffinity",
 }
 """What is known of each element of MJCF."""
 DENSITY = 1000.0
@@ -52,9 +58,9 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     Raises:
         PluginError: the file holds what karolos does not know or cannot simulate. The message names element and line.
     """
-    root, _ = urdf.parse(path)
+    root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag == "mujoco":
-        return mechanism(list(_Reader(path, collision).links()))
+        return mechanism(list(_Reader(path, collision, root, lines).links()))
     description = urdf.load(path, driven=False)
     for joint in description.joints:
         if joint.mimic is not None:
@@ -90,33 +96,61 @@ def hulls(robot: Element) -> dict[str, str]:
 class _Reader:
     """Reads the links of an MJCF file."""
 
-    def __init__(self, path: Path, collision: meshes.Collision | None) -> None:
-        self._path, self._collision = path, collision
-        self._root, self._lines = urdf.parse(path)
+    def __init__(
+        self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
+    ) -> None:
+        self._path, self._collision, self._root, self._lines = path, collision, root, lines
         self._files: dict[str, tuple[Path, float]] = {}
         self._degree = np.pi / 180
+        self._usual: dict[str, dict[str, dict[str, str]]] = {"main": {}}
+        """The attributes that an element has if it does not say otherwise: by class, and by kind of element."""
 
     def links(self) -> Iterator[Link]:
         """The base, then each link after the one that it moves on."""
         bodies: list[Element] = []
         folder = self._path.parent
-        for part in self._parts(self._root, "compiler asset worldbody"):
+        for default in self._root.findall("default"):
+            self._learn(default, "main", {})
+        for part in self._parts(self._root, "compiler default asset worldbody"):
             if part.tag == "compiler":
                 folder = folder / part.get("meshdir", "")
                 self._degree = 1.0 if part.get("angle") == "radian" else self._degree
             for mesh in self._parts(part, "mesh") if part.tag == "asset" else ():
+                self._complete(mesh, "main")
                 file, scale = folder / mesh.get("file", ""), self._numbers(mesh, "scale", (1.0, 1.0, 1.0))
                 if not file.is_file() or file.suffix.lower() not in meshes.MESH_SUFFIXES or np.ptp(scale):
-                    raise self._error(mesh, "it needs a file of STL or OBJ, and one scale for all axes")
+                    kinds = ", ".join(meshes.MESH_SUFFIXES)
+                    raise self._error(mesh, f"it needs a file of {kinds}, and one scale for all axes")
                 self._files[mesh.get("name", file.stem)] = file, float(scale[0])
             bodies += self._parts(part, "body") if part.tag == "worldbody" else []
         if len(bodies) != 1:
             raise self._error(self._root, f"{len(bodies)} bodies in <worldbody>; it needs one, the base")
-        yield from self._body(bodies[0], "", np.zeros(3))
+        yield from self._body(bodies[0], "", np.zeros(3), "main")
 
-    def _body(self, body: Element, parent: str, offset: Array) -> Iterator[Link]:
+    def _learn(self, default: Element, name: str, above: dict[str, dict[str, str]]) -> None:
+        """Keep the attributes of a class, which has those of the class that it stands in."""
+        own = {tag: dict(values) for tag, values in (self._usual.get(name) or above).items()}
+        for part in default:
+            if part.tag in ("geom", "joint", "mesh"):
+                self._parts(part, "")
+                own.setdefault(part.tag, {}).update(part.attrib)
+        self._usual[name] = own
+        for part in default.findall("default"):
+            self._learn(part, part.get("class", ""), own)
+
+    def _complete(self, element: Element, usual: str) -> None:
+        """Give an element what its class says, or the class `usual`."""
+        name = element.get("class", usual)
+        if name not in self._usual:
+            raise self._error(element, f"there is no class {urdf.short(name)}")
+        for key, value in self._usual[name].get(element.tag, {}).items():
+            element.attrib.setdefault(key, value)
+
+    def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
         """A body and what moves on it. A link's frame is in its joint: `offset` (3,) of the parent's in its body."""
-        parts = self._parts(body, "joint inertial geom body")
+        parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
+        for part in parts:
+            self._complete(part, usual)
         joints, inertials = ([part for part in parts if part.tag == tag] for tag in ("joint", "inertial"))
         if len(joints) != bool(parent) or len(inertials) > 1:
             raise self._error(body, "a body on another has one joint, the base none, and each one <inertial> at most")
@@ -127,12 +161,18 @@ class _Reader:
         place, turn = self._pose(body)
         pivot = self._numbers(joint, "pos", (0.0, 0.0, 0.0))
         low, high = self._numbers(joint, "range", (0.0, 0.0)) * (self._degree if turns else 1.0)
-        shapes, mass, inertia = [], 0.0, None
+        inertia, shapes, solids, masses = None, list[Shape](), list[Shape](), list[float]()
         for geom in parts:
-            if geom.tag == "geom" and (geom.get("contype"), geom.get("conaffinity")) != ("0", "0"):
-                shapes.append(shape := self._shape(geom, pivot))
+            drawn = (geom.get("contype"), geom.get("conaffinity")) == ("0", "0")
+            if geom.tag == "geom" and not (drawn and (inertials or not parent)):
+                shape = self._shape(geom, pivot, "convex" if drawn else self._collision)
+                shapes += [shape] * (not drawn)
                 density = self._number(geom, "density", DENSITY)
-                mass += self._number(geom, "mass", density * volume_of([shape]))
+                masses.append(self._number(geom, "mass", density * volume_of([shape])))
+                solids.append(shape)
+        mass = sum(masses)
+        if mass and parent and not inertials:
+            inertia = inertia_of(solids, mass, masses)
         for inertial in inertials:
             mass, (centre, axes) = self._number(inertial, "mass", 0.0), self._pose(inertial)
             inertia = Inertia(
@@ -154,9 +194,9 @@ class _Reader:
         )
         for part in parts:
             if part.tag == "body":
-                yield from self._body(part, name, pivot)
+                yield from self._body(part, name, pivot, usual)
 
-    def _shape(self, geom: Element, pivot: Array) -> Shape:
+    def _shape(self, geom: Element, pivot: Array, collision: meshes.Collision | None) -> Shape:
         """The shape of a geom in the frame at `pivot` (3,) of its body."""
         place, turn = self._pose(geom)
         kind, size = geom.get("type", "sphere"), self._numbers(geom, "size", ())
@@ -168,7 +208,7 @@ class _Reader:
         pose: dict[str, Any] = {"position": _vector(place - pivot), "orientation": turn}
         if kind == "mesh" and geom.get("mesh") in self._files:
             file, scale = self._files[geom.get("mesh", "")]
-            return Mesh(file, scale, self._collision, **pose)
+            return Mesh(file, scale, collision, **pose)
         half = [float(one) for one in size]
         try:
             match kind, half:

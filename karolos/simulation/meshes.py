@@ -1,7 +1,9 @@
-"""Meshes of strangers: STL and OBJ, read and checked here, so that an engine reads only what karolos wrote.
+"""Meshes of strangers: STL, OBJ and Collada, read and checked here, so that an engine reads only what karolos wrote.
 
 Engines collide convex shapes: a mesh is its convex hull, or is decomposed into convex pieces.
 PyBullet reads past the end of its arrays where a face names a missing corner, and takes minutes for blank lines.
+Trimesh reads Collada, and says how triangles hang together. OBJ and STL are read here: trimesh takes a corner 0, a
+relative one or a missing number of an OBJ for another without an error, and finds nothing in an STL of a wrong count.
 """
 
 from __future__ import annotations
@@ -12,8 +14,10 @@ import re
 import sys
 import tempfile
 import warnings
+from collections import Counter
 from collections.abc import Sequence
-from functools import cache
+from functools import lru_cache
+from io import BytesIO
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -27,7 +31,7 @@ from ..files import writing
 
 Collision = Literal["convex", "decomposed"]
 """What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
-MESH_SUFFIXES = (".stl", ".obj")
+MESH_SUFFIXES = (".stl", ".obj", ".dae")
 LARGEST_MESH = 20_000_000
 """Largest size of a file in bytes."""
 LARGEST_NUMBER = 1e5
@@ -38,27 +42,44 @@ SAME_VOLUME = 0.95
 """A mesh that fills less of its convex hull is not convex."""
 LEAST_SHARE = 1e-3
 """A closed mesh that fills less of its convex hull encloses nothing: its sides cancel each other."""
+LINES, MOST_TESTS = 200, 4_000_000
+"""Lines along each axis that tell how often a mesh encloses a place, and most pairs of a line and a triangle."""
+TWICE = 0.005
+"""Share of a mesh that may be enclosed twice or from behind: so much is its weight wrong at most."""
 CONCAVITY = 0.02
 """Largest concavity of a convex piece, as CoACD measures it, in parts of the mesh's size."""
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 
 
-@cache
-def triangles(path: Path) -> NDArray[np.float32]:
-    """Corners (n, 3, 3) of a mesh, in its own frame and unit. The result is shared and must not be changed.
-
-    Raises PluginError for a file that is too large, damaged, empty, or has numbers that are not finite.
-    """
+def _content(path: Path) -> bytes:
+    """The bytes of a file. Results are cached by them: a file that was edited is read again."""
     try:
         if path.stat().st_size > LARGEST_MESH:
             raise PluginError(f"larger than {LARGEST_MESH / 1e6:g} MB", where=str(path), hint="simplify the mesh")
-        data = path.read_bytes()
+        return path.read_bytes()
     except OSError as error:
         raise PluginError(f"cannot be read: {error.strerror}", where=str(path)) from None
+
+
+def triangles(path: Path) -> NDArray[np.float32]:
+    """Corners (n, 3, 3) of a mesh, in its own frame and unit. The result is shared and must not be changed.
+
+    Collada says its unit and which axis points up: its corners are in m, with z upwards.
+
+    Raises PluginError for a file that is too large, damaged, empty, or has numbers that are not finite.
+    """
+    return _triangles(path, _content(path))
+
+
+@lru_cache(maxsize=256)
+def _triangles(path: Path, data: bytes) -> NDArray[np.float32]:
     with np.errstate(over="ignore"):  # infinite, and refused below
-        found = _obj(data, path) if path.suffix.lower() == ".obj" else _stl(data, path)
-    if not (len(found) and np.abs(found).max() <= LARGEST_NUMBER):  # NaN is not
-        raise PluginError(f"no triangles, or a coordinate beyond {LARGEST_NUMBER:g}", where=str(path))
+        found = {".obj": _obj, ".dae": _dae}.get(path.suffix.lower(), _stl)(data, path)
+    if not len(found):
+        raise PluginError("no triangles", where=str(path))
+    if not np.abs(found).max() <= LARGEST_NUMBER:  # NaN is not
+        raise PluginError(f"a coordinate beyond {LARGEST_NUMBER:g}, or not a number", where=str(path))
     return found
 
 
@@ -72,7 +93,7 @@ def stl(corners: NDArray[np.floating[Any]]) -> bytes:
 
 
 class Solid(NamedTuple):
-    """What a mesh encloses, or its convex hull where it is not closed; in its own frame and unit."""
+    """What a mesh encloses, or its convex hull where that cannot be said; in its own frame and unit."""
 
     volume: float
     centre: Array
@@ -81,49 +102,89 @@ class Solid(NamedTuple):
     """Inertia (3, 3) about the centre, per mass."""
     filled: str
     """What its convex hull fills, in words; empty for a convex mesh."""
+    flaw: str
+    """Why it weighs as its convex hull, in words; empty for a mesh that encloses each place once."""
 
 
-@cache
 def solid(path: Path) -> Solid:
     """Volume and inertia of a mesh. Raises PluginError as `triangles`, and for one that is flat."""
-    from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415 (takes .1 s)
+    return _solid(path, _content(path))
 
-    corners, faces = np.unique(triangles(path).reshape(-1, 3), axis=0, return_inverse=True)
-    faces = faces.reshape(-1, 3)
+
+@lru_cache(maxsize=256)
+def _solid(path: Path, data: bytes) -> Solid:
+    import trimesh  # noqa: PLC0415 (takes half a second)
+    from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415
+
+    corners, faces = np.unique(_triangles(path, data).reshape(-1, 3), axis=0, return_inverse=True)
     try:
         hull = ConvexHull(corners.astype(float))
     except QhullError:
         raise PluginError("flat: its corners are in one plane", where=str(path)) from None
-    holes = _holes(faces)
-    if holes is None or abs(_volumes(corners, faces).sum()) < LEAST_SHARE * hull.volume:
-        return Solid(*_moments(corners, hull.simplices, convex=True), "an open surface")
+    a, b, c = (faces := faces.reshape(-1, 3)).T
+    mesh = trimesh.Trimesh(corners, faces[(a != b) & (b != c) & (c != a)], process=False)
+    if not _closed(faces := np.array(mesh.faces)) and mesh.is_watertight:
+        trimesh.repair.fix_winding(mesh)  # type: ignore[no-untyped-call]
+    flaw = "" if _closed(faces := np.array(mesh.faces)) else "an open surface"
+    if not flaw and _enclosed_wrongly(corners[faces]) > TWICE:
+        for body in trimesh.graph.connected_components(mesh.face_adjacency, nodes=np.arange(len(faces))):
+            if _volumes(corners, faces[body]).sum() < 0:
+                faces[body] = faces[body][:, ::-1]
+        sound = _closed(faces) and _enclosed_wrongly(corners[faces]) <= TWICE
+        flaw = "" if sound else "bodies that overlap or are inside out"
+    if not flaw and abs(_volumes(corners, faces).sum()) < LEAST_SHARE * hull.volume:
+        flaw = "an open surface"
+    if flaw:
+        return Solid(*_moments(corners, hull.simplices, convex=True), flaw, flaw)
     volume, centre, tensor = _moments(corners, faces, convex=False)
+    holes = mesh.body_count - mesh.euler_number // 2 if mesh.is_watertight else 0  # not where bodies touch
     filled = ""
-    if holes:
+    if holes > 0:
         filled = "a hole" if holes == 1 else f"{holes} holes"
     elif volume < SAME_VOLUME * hull.volume:
         filled = f"a hollow: {1 - volume / hull.volume:.0%} of it"
-    return Solid(volume, centre, tensor, filled)
+    return Solid(volume, centre, tensor, filled, "")
+
+
+def _closed(faces: NDArray[np.intp]) -> bool:
+    """Whether triangles (n, 3) of corners meet at each edge, as many in one direction as in the other."""
+    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    there, back = (np.sort(ends @ [1 + int(faces.max(initial=0)), 1]) for ends in (edges, edges[:, ::-1]))
+    return np.array_equal(there, back)
+
+
+def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
+    """The share of what a closed mesh (n, 3, 3) encloses that it encloses twice, or once from behind.
+
+    Each of some lines along the axes enters and leaves the bodies of a sound mesh in turns.
+    """
+    unit = (found - found.min((0, 1)).astype(float)) / np.ptp(found.reshape(-1, 3), axis=0)
+    shares = []
+    for turned in (unit, np.roll(unit, 1, 2), np.roll(unit, 2, 2)):
+        lengths: Counter[int] = Counter()
+        least, most = turned[:, :, :2].min(1), turned[:, :, :2].max(1)
+        for number in range(1, min(LINES, MOST_TESTS // len(unit)) + 1):
+            # a sequence that fills a square evenly (Roberts' R2), beside the round numbers of a CAD
+            place = np.array([0.7548777, 0.5698403]) * number % 1
+            near = turned[((least < place) & (place < most)).all(1)]
+            x, y = np.moveaxis(near[:, :, :2] - place, 2, 0)
+            areas = x[:, [1, 2, 0]] * y[:, [2, 0, 1]] - x[:, [2, 0, 1]] * y[:, [1, 2, 0]]
+            hit = (areas > 0).all(1) | (areas < 0).all(1)
+            heights = (areas * near[:, :, 2])[hit].sum(1) / areas[hit].sum(1)
+            order = np.argsort(heights)
+            times = -np.cumsum(np.sign(areas[hit, 0][order]))
+            if len(times) and times[-1] == 0:  # a line through an edge may miss it
+                for time, length in zip(times.tolist(), np.diff(heights[order]).tolist(), strict=False):
+                    lengths[time] += length
+        del lengths[0]
+        shares.append(1 - max(lengths[1], lengths[-1]) / lengths.total() if lengths.total() else 0.0)
+    return max(shares)
 
 
 def _volumes(corners: NDArray[np.float32], faces: NDArray[np.intp]) -> Array:
     """Volumes (n,) of the tetrahedra from the mean corner to each triangle; negative behind one."""
     volumes: Array = np.linalg.det(corners[faces] - corners.mean(0).astype(float)) / 6
     return volumes
-
-
-def _holes(faces: NDArray[np.intp]) -> int | None:
-    """Number of holes through a mesh of triangles (n, 3) of corners; None for one that is not closed."""
-    from scipy.sparse import coo_array  # noqa: PLC0415
-    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
-
-    edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, counts = np.unique(edges[edges[:, 0] != edges[:, 1]], axis=0, return_counts=True)
-    if not len(edges) or counts.max() > 1 or len(np.unique(np.vstack([edges, edges[:, ::-1]]), axis=0)) > len(edges):
-        return None  # an edge without a triangle on its other side
-    size = int(faces.max()) + 1
-    parts, _ = connected_components(coo_array((np.ones(len(edges)), edges.T), (size, size)), directed=False)
-    return int(parts) - (size - len(edges) // 2 + len(edges) // 3) // 2  # Euler: V - E + F = 2 (parts - holes)
 
 
 def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: bool) -> tuple[float, Array, Array]:
@@ -144,11 +205,15 @@ def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: b
     return abs(volume), middle + centre, np.trace(second) * np.eye(3) - second
 
 
-def warn_of_hull(path: Path) -> None:
-    """Say that a mesh collides as its convex hull where that is not the same."""
-    if filled := solid(path).filled:
+def warn_of_hull(path: Path, *, weighed: bool = False, accepted: bool = False) -> None:
+    """Say that a mesh whose mass follows from it (`weighed`), or that collides, is taken for its convex hull."""
+    found = solid(path)
+    if found.flaw and weighed:
+        hint = "its volume and inertia are those of its convex hull; repair the mesh, in a CAD or Blender"
+        warnings.warn(f"{path}: {found.flaw}: {hint}", stacklevel=4)
+    elif found.filled and not accepted:
         hint = "collision='decomposed' keeps it, collision='convex' accepts it"
-        warnings.warn(f"{path}: its convex hull, which collides, fills {filled}; {hint}", stacklevel=4)
+        warnings.warn(f"{path}: its convex hull, which collides, fills {found.filled}; {hint}", stacklevel=4)
 
 
 def check_size(path: Path, scale: float | Sequence[float]) -> None:
@@ -198,21 +263,58 @@ def _decompose(path: Path) -> list[NDArray[np.float32]]:
 
 
 def _stl(data: bytes, path: Path) -> NDArray[np.float32]:
-    count = int.from_bytes(data[80:84], "little")
-    if len(data) == 84 + _TRIANGLE.itemsize * count:
-        return np.frombuffer(data, _TRIANGLE, count, 84)["corners"]
-    numbers = re.findall(rb"^\s*vertex\s+(\S+)\s+(\S+)\s+(\S+)\s*$", data, re.MULTILINE)
+    count, there = int.from_bytes(data[80:84], "little"), max(len(data) - 84, 0) // _TRIANGLE.itemsize
+    exact = len(data) == 84 + _TRIANGLE.itemsize * count
+    if not exact and b"\0" not in data and _VERTEX.search(data):
+        return _ascii_stl(data, path)
+    if count in (0, 2**32 - 1):  # a writer that could not go back to its header
+        count = there
+    if count != there or not there:  # less than a triangle may follow: a line's end
+        what = f"its header counts {count} triangles, {there} follow" if len(data) > 84 else f"{len(data)} bytes"
+        raise PluginError(f"not an STL file, or a damaged one: {what}", where=str(path))
+    return np.frombuffer(data, _TRIANGLE, count, 84)["corners"]
+
+
+def _ascii_stl(data: bytes, path: Path) -> NDArray[np.float32]:
+    """Letters of either size, ends of lines of every system, several bodies; their names are left out."""
+    text = re.sub(rb"(?im)^[ \t]*(end)?solid\b.*$", b"", data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
+    corners = []
+    for word in _VERTEX.finditer(text):
+        try:
+            corners.append([float(one) for one in word.groups()])
+        except ValueError:
+            line = text.count(b"\n", 0, word.start()) + 1
+            raise PluginError("not a corner of three numbers", where=f"{path}:{line}") from None
+    facets, ends = len(re.findall(rb"(?i)\bfacet\b", text)), data.lower()
+    if len(corners) != 3 * facets or ends.rfind(b"endsolid") < ends.rfind(b"endfacet"):
+        raise PluginError(f"cut off, or damaged: {facets} triangles, {len(corners)} corners", where=str(path))
+    return np.array(corners, np.float32).reshape(-1, 3, 3)
+
+
+def _dae(data: bytes, path: Path) -> NDArray[np.float32]:
+    import trimesh  # noqa: PLC0415 (takes a second)
+
+    unit, up = (re.search(sign, data) for sign in (rb"<unit\b[^>]*?\bmeter\s*=\s*.([^\"']+)", rb"<up_axis>\s*(\w)"))
     try:
-        return np.array(numbers, np.float32).reshape(-1, 3, 3)
-    except ValueError:
-        raise PluginError("not an STL file, or a damaged one", where=str(path)) from None
+        if re.search(rb"\0|<!(DOCTYPE|ENTITY)|<instance_node", data, re.IGNORECASE):
+            raise ValueError("not in UTF-8, a document type, entities, or nodes that stand twice")
+        if len(data) * data.count(b"<instance_geometry") > 20 * LARGEST_MESH:
+            raise ValueError("too many copies of a geometry")
+        scene = trimesh.load_scene(BytesIO(data), file_type="dae", resolver=None)  # which opens no other file
+        found = np.array(scene.to_mesh().triangles).reshape(-1, 3, 3) if scene.geometry else np.zeros((0, 3, 3))
+        found *= float(unit[1]) if unit else 1.0
+    except Exception as error:  # pycollada raises whatever it meets
+        raise PluginError(f"cannot be read as Collada: {' '.join(str(error).split())[:200]}", where=str(path)) from None
+    x, y, z = np.moveaxis(found, 2, 0)
+    turned = {b"Z": (x, y, z), b"X": (-y, -z, x)}.get(up[1] if up else b"Y", (x, -z, y))
+    return np.stack(turned, 2).astype(np.float32)
 
 
 def _obj(data: bytes, path: Path) -> NDArray[np.float32]:
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(data.splitlines(), 1):
-        word, *rest = line.split() or [b""]
+    for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+        word, *rest = line.partition(b"#")[0].split() or [b""]
         try:
             if word == b"v":
                 x, y, z = map(float, rest[:3])

@@ -90,9 +90,9 @@ class Capsule(Shape):
 
 @dataclass(frozen=True)
 class Mesh(Shape):
-    """A part from an STL or OBJ file, `scale` times as large: with .001 the file is in millimetres.
+    """A part from a file of STL, OBJ or Collada, `scale` times as large: with .001 the file is in millimetres.
 
-    Mass and inertia follow from what the mesh encloses, or from its convex hull if it is not closed. Bodies collide as
+    Mass and inertia follow from what the mesh encloses, or, with a warning, from its convex hull. Bodies collide as
     convex shapes. `collision` says what a mesh that is not convex collides as: its convex hull, or the convex pieces
     that the package coacd finds (`pip install 'karolos[parts]'`). They follow the mesh to about 2 % of its size, too
     coarse for a peg in a hole: make such a hole of boxes.
@@ -109,11 +109,10 @@ class Mesh(Shape):
     def __post_init__(self) -> None:
         super().__post_init__()
         meshes.check_size(self.path, self.scale)
-        if self.collision is None:
-            meshes.warn_of_hull(self.path)
+        meshes.warn_of_hull(self.path, weighed=True, accepted=self.collision is not None)
 
     def solid(self) -> tuple[float, Array, Array]:
-        volume, centre, tensor, _ = meshes.solid(self.path)
+        volume, centre, tensor, *_ = meshes.solid(self.path)
         return volume * self.scale**3, centre * self.scale, tensor * self.scale**2
 
     def pieces(self) -> tuple[Path, ...]:
@@ -135,19 +134,21 @@ def volume_of(shapes: Sequence[Shape]) -> float:
     return sum(shape.solid()[0] for shape in shapes)
 
 
-def inertia_of(shapes: Sequence[Shape], mass: float) -> Inertia:
-    """Inertia of a body of `mass` kg that is equally dense everywhere."""
+def inertia_of(shapes: Sequence[Shape], mass: float, shares: Sequence[float] | None = None) -> Inertia:
+    """Inertia of a body of `mass` kg that is equally dense everywhere, or of which each shape has a share."""
     solids = []
     for shape in shapes:
         volume, middle, tensor = shape.solid()
         turn = matrix_of(shape.orientation)
         solids.append((volume, np.array(shape.position) + turn @ middle, turn @ tensor @ turn.T))
-    total = sum(volume for volume, _, _ in solids)
-    centre = sum((volume * middle for volume, middle, _ in solids), np.zeros(3)) / total
+    if shares is not None:
+        solids = [(share, middle, own) for share, (_, middle, own) in zip(shares, solids, strict=True)]
+    total = sum(share for share, _, _ in solids)
+    centre = sum((share * middle for share, middle, _ in solids), np.zeros(3)) / total
     tensor = np.zeros((3, 3))
-    for volume, middle, own in solids:
+    for share, middle, own in solids:
         offset = middle - centre
-        tensor += mass * volume / total * (own + offset @ offset * np.eye(3) - np.outer(offset, offset))
+        tensor += mass * share / total * (own + offset @ offset * np.eye(3) - np.outer(offset, offset))
     moments, axes = np.diag(tensor), np.eye(3)
     if np.abs(tensor - np.diag(moments)).max() > 1e-9 * moments.max():
         moments, axes = np.linalg.eigh(tensor)

@@ -6,12 +6,11 @@ Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is neede
 from __future__ import annotations
 
 import copy
-import os
 import re
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 from math import hypot, nan, pi
 from pathlib import Path
 from xml.etree import ElementTree
@@ -22,6 +21,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
+from ..files import find_named
 from .geometry import Vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
@@ -162,8 +162,8 @@ def text_of(path: Path) -> str:
         raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None
 
 
-def parse(path: Path) -> tuple[Element, dict[Element, int]]:
-    """The root of an XML file, and the line of each element. Raises PluginError for a file that is not XML."""
+def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
+    """The root of an XML file with this text, and the line of each element. Raises PluginError where it is not XML."""
     lines: dict[Element, int] = {}
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
 
@@ -176,7 +176,7 @@ def parse(path: Path) -> tuple[Element, dict[Element, int]]:
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.EntityDeclHandler = refuse_entity
     try:
-        parser.Parse(text_of(path).encode(), True)
+        parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
         hint = "a robot needs a valid URDF"
         raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
@@ -186,9 +186,9 @@ def parse(path: Path) -> tuple[Element, dict[Element, int]]:
 class _Source:
     """What is known of a URDF, with the place of each element."""
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, text: str) -> None:
         self.path = path
-        root, lines = parse(path)
+        root, lines = parse(path, text)
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
         """Where each element stands."""
         if any("ros.org/wiki/xacro" in element.tag for element in root):
@@ -262,10 +262,9 @@ def read(path: Path) -> Element:
 
     Raises PluginError when the file is missing or not a URDF; it names the element and its line.
     """
-    return _Source(path).robot
+    return _Source(path, text_of(path)).robot
 
 
-@cache
 def load(
     path: Path,
     locked: tuple[tuple[str, float], ...] = (),
@@ -274,7 +273,7 @@ def load(
     driven: bool = True,
     mount: Mount | None = None,
 ) -> Description:
-    """What is simulated of a URDF. The result is shared and must not be changed.
+    """What is simulated of a URDF. The result is shared until the file changes, and must not be changed.
 
     Fixed joints and locked joints are merged, with the links that they move, into their parents. What exporters write
     for other programs (transmissions, ros2_control, gazebo, mimic, safety controllers) is left out. A continuous joint
@@ -292,9 +291,24 @@ def load(
     Raises:
         PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
     """
-    source = _Source(path)
+    texts = text_of(path), text_of(mount.path) if mount else ""
+    return _load(path, texts, locked, slides, (strict, driven), mount)
+
+
+@lru_cache(maxsize=256)
+def _load(
+    path: Path,
+    texts: tuple[str, str],
+    locked: tuple[tuple[str, float], ...],
+    slides: tuple[str, ...],
+    how: tuple[bool, bool],
+    mount: Mount | None,
+) -> Description:
+    """`load` of files with these texts: of the robot, and of the gripper that is mounted."""
+    strict, driven = how
+    source = _Source(path, texts[0])
     if mount is not None:
-        _mount(source, mount)
+        _mount(source, mount, texts[1])
     robot, order = source.robot, _tree(source)
     held = _held(order, dict(locked), path)
     carriers: dict[str, str] = {}
@@ -329,12 +343,12 @@ def load(
     return Description(robot, tuple(found), carriers, frames, tuple(corrected))
 
 
-def _mount(source: _Source, mount: Mount) -> None:
+def _mount(source: _Source, mount: Mount, text: str) -> None:
     """Add a gripper to an arm, its base merged into the link that carries it.
 
     Masses are rounded to 6 digits and positions to 1e-12 m, so that the sums of decimals are decimals.
     """
-    gripper = _Source(mount.path)
+    gripper = _Source(mount.path, text)
     order = _tree(gripper)
     base = link_of(order[0], "parent") if order else gripper.robot.findall("link")[0].get("name", "")
     carrier = next((link for link in source.robot.findall("link") if link.get("name") == mount.link), None)
@@ -370,7 +384,7 @@ def _mount(source: _Source, mount: Mount) -> None:
         for origin in element.findall("origin"):
             place = (round(float(value), 12) + 0.0 for value in origin.get("xyz", "").split())
             origin.set("xyz", " ".join(map(repr, place)))
-    mass, centre, tensor = _inertia(carrier)
+    mass, centre, tensor = inertia_of(carrier)
     _set_inertia(carrier, _six(mass), np.vectorize(_six)(centre), np.vectorize(_six)(tensor))
 
 
@@ -504,7 +518,7 @@ def _find_meshes(source: _Source) -> None:
                 if shape.tag == "visual" and name.lower().endswith(".dae"):
                     link.remove(shape)
                     continue
-                found = find_mesh(name, source.path.parent)
+                found = find_named(name, source.path.parent)
                 if found is None:
                     hint = "it is looked for beside the URDF and in folders above"
                     raise source.error(link, f"there is no mesh {short(name)}", hint=hint)
@@ -524,7 +538,7 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
         base: whether it is fixed and needs no mass.
         least: mass in kg to which it is raised, and its inertia with it.
     """
-    mass, centre, tensor = _inertia(link)
+    mass, centre, tensor = inertia_of(link)
     moments, axes = np.linalg.eigh(tensor)
     if base:
         if link.find("inertial") is None or moments[0] < 0:  # an engine would guess, or refuse it
@@ -543,22 +557,6 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
         return False
     _set_inertia(link, mass, centre, axes @ np.diag(moments + np.array([missing / 2, missing / 2, 0.0])) @ axes.T)
     return True
-
-
-def find_mesh(name: str, folder: Path) -> Path | None:
-    """The file of a mesh, named as in a URDF that stands in `folder`; None if there is none.
-
-    A `package://` name is looked for in this folder and those above it, with and without the name of the package.
-    """
-    scheme, separator, rest = name.partition("://")
-    if scheme in ("package", "model") and separator:
-        places = [
-            place for above in (folder, *folder.parents) for place in (above / rest, above / rest.partition("/")[2])
-        ]
-    else:
-        rest = rest if separator else name
-        places = [folder / rest, folder.parent / rest]
-    return next((place.resolve() for place in places if os.path.isfile(place)), None)
 
 
 def _vector(values: Iterable[str | float]) -> Vector:
@@ -654,7 +652,7 @@ def _set_origin(element: Element, translation: Array, rotation: Array) -> None:
     origin.set("rpy", " ".join(repr(value) for value in roll_pitch_yaw(rotation)))
 
 
-def _inertia(link: Element) -> tuple[float, Array, Array]:
+def inertia_of(link: Element) -> tuple[float, Array, Array]:
     """Mass, centre of mass (3,) and inertia (3, 3) about it, in the link's frame."""
     inertial = link.find("inertial")
     if inertial is None:
@@ -670,8 +668,8 @@ def _inertia(link: Element) -> tuple[float, Array, Array]:
 
 def _merge_inertia(parent: Element, child: Element, translation: Array, rotation: Array) -> None:
     """Add the child's mass to its parent's: parallel-axis theorem."""
-    parts = [_inertia(parent)]
-    mass, centre, tensor = _inertia(child)
+    parts = [inertia_of(parent)]
+    mass, centre, tensor = inertia_of(child)
     if not mass:  # a frame without a body
         return
     parts.append((mass, translation + rotation @ centre, rotation @ tensor @ rotation.T))

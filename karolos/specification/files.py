@@ -10,7 +10,7 @@ from pathlib import Path
 from ..errors import Problem, UsageError
 from ..registry import closest
 from .merge import merged, normalised
-from .nodes import Mark, Node, refuse, shown
+from .nodes import Mark, Node, refuse, shown, variable_problems
 from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 SHIPPED = "karolos:"
@@ -137,6 +137,9 @@ class SpecFiles:
             base, name = find_spec(given)
         else:
             base, name = path.parent / given, beside(name, given)
+        if found := list(variable_problems(target, ("extends",))):
+            self.broken += found
+            return None
         if wrong := unreadable(base):
             self.broken.append(Problem(target.at, "extends", f"{shown(given)}: {wrong[0]}", wrong[1]))
             return None
@@ -185,7 +188,7 @@ def _similar(path: Path) -> str | None:
     near = beside.get(closest(path.stem, beside) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
-    return f"did you mean {shown(near)}?" if near else None
+    return f"did you mean {shown(near)}?" if near else None if path.suffix else "`karolos spec list` shows what ships"
 
 
 def _text(path: Path, mark: Mark) -> str:

@@ -24,7 +24,7 @@ from .merge import (
     with_shared_settings,
 )
 from .model import NAME_PATTERN, Spec
-from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse, shown
+from .nodes import DEFAULT, Mark, Node, from_plain, leaves, refuse, shown, variable_problems
 from .problems import ROBOT_TASK, validate
 from .space import application_order, space_problems
 
@@ -50,6 +50,10 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     if files.broken:
         refuse([*files.problems, *files.broken])
     spec = _resolve(tree, [*above, *trees], files.problems, find_spec(path)[0].stem)
+    if spec.continued_from is not None:
+        what = "only `karolos resume RUN training.steps=...` continues a run; a spec begins one"
+        at = next(one["continued_from"].place for one in (*reversed(trees), tree) if one.get("continued_from"))
+        refuse([Problem(at, "continued_from", what, "remove it")])
     spec._text = files.text
     return spec
 
@@ -71,7 +75,7 @@ def _resolve(below: Node, overrides: Sequence[Node], problems: list[Problem], st
         spec, spec_problems = validate(tree)
     except PluginError as error:
         raise _at_part(error, tree) from None
-    refuse([*problems, *_at_causes(spec_problems, below, overrides, stem)])
+    refuse([*problems, *variable_problems(tree), *_at_causes(spec_problems, below, overrides, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
         refuse(space_problems(tree, spec.sweep, lambda probe: _with_defaults(probe, stem)))

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
+import re
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import Field as Setting
 from pydantic import PrivateAttr, StringConstraints, model_validator
 
 from ..core import Settings
+from ..files import fingerprint
 from .merge import PARTS
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep
@@ -143,6 +147,27 @@ class TestingSettings(Settings):
         return self.model_dump(mode="json") | {"final_episodes": self.final_count}
 
 
+class Continued(Settings):
+    """Of which experiment's runs, and from which step, a run goes on."""
+
+    experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
+    at: int = Setting(ge=0, description="environment steps that its runs have taken")
+
+
+def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
+    """JSON with hashes of content in place of names of files and folders; `found` gets these by key path."""
+    if isinstance(value, dict):
+        return {key: _by_content(entry, found, f"{path}.{key}".lstrip(".")) for key, entry in value.items()}
+    if isinstance(value, list):
+        return [_by_content(entry, found, f"{path}[{place}]") for place, entry in enumerate(value)]
+    if isinstance(value, str) and re.search(r"[/\\]|\.\w{1,8}$", value):
+        digest = fingerprint(Path(os.path.expanduser(os.path.expandvars(value))))
+        if digest is not None:
+            found[path] = digest
+            return f"sha256:{digest}"
+    return value
+
+
 class Spec(Settings):
     """An experiment: the environment, the agent and the training. Frozen; specs with the same `dump` are equal.
 
@@ -152,7 +177,9 @@ class Spec(Settings):
     name: Annotated[str, StringConstraints(pattern=NAME_PATTERN)] = Setting(
         description="of the experiment; run folders begin with it. Default: the file's name"
     )
-    seeds: Seeds = Setting((0,), description="one run for each; the root of all its random numbers")
+    seeds: Seeds = Setting(
+        (0,), description="one run for each, the root of all its random numbers; a number n: the seeds 0 to n - 1"
+    )
     robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
     task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")
     environment: Annotated[Part, OfKind("environments")] = Setting(
@@ -177,6 +204,9 @@ class Spec(Settings):
     )
     training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
     testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
+    continued_from: Continued | None = Setting(
+        None, description="what the runs go on from; written by `karolos resume RUN training.steps=...` alone"
+    )
 
     sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
     transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")
@@ -211,12 +241,22 @@ class Spec(Settings):
         """This spec without what is not a run's own: sweep, transfer and launcher."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
+    def files(self) -> dict[str, str]:
+        """The files that settings name: key path -> SHA-256 (hex) of the file and of what it names (`fingerprint`)."""
+        found: dict[str, str] = {}
+        _by_content(self._identity(), found)
+        return found
+
     def hash(self) -> str:
         """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
 
-        Excludes name, seeds, sweep, transfer, launcher, device, threads and settings that a plugin's
-        `Settings.identity()` omits.
+        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, device, threads
+        and settings that a plugin's `Settings.identity()` omits.
         """
+        text = json.dumps(_by_content(self._identity(), {}), sort_keys=True, separators=(",", ":"))
+        return hashlib.sha256(text.encode()).hexdigest()
+
+    def _identity(self) -> dict[str, Any]:
         parts: dict[str, Part | None] = {key: getattr(self, key) for key in PARTS}
         identity = {
             **self.dump(),
@@ -227,8 +267,7 @@ class Spec(Settings):
         }
         for key in ("name", "seeds", "sweep", "transfer", "launcher"):
             identity.pop(key, None)
-        text = json.dumps(identity, sort_keys=True, separators=(",", ":"))
-        return hashlib.sha256(text.encode()).hexdigest()
+        return identity
 
     def recipe(self, *, randomize: bool) -> Recipe:
         """The recipe of one environment, with or without randomization."""

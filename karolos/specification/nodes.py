@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
@@ -11,6 +12,8 @@ from ..errors import Problem, SpecError
 
 MAX_DEPTH = 32
 """Largest depth of nested mappings and lists. A spec needs six."""
+
+_VARIABLE = re.compile(r"~[\w.-]*/|(.*/)?\$(\w+|\{\w+\})(/|$)")
 
 Scalar: TypeAlias = bool | int | float | str | None
 Path: TypeAlias = tuple[str | int, ...]
@@ -159,3 +162,14 @@ def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
             yield from leaves(entry, (*path, key))
     else:
         yield path, value
+
+
+def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
+    """A problem for each path that begins with ~ or contains a $VARIABLE. The launcher's commands may."""
+    entries = tree.mapping.items() if tree.mapping is not None else enumerate(tree.items or ())
+    for key, node in entries:
+        if (*path, key) != ("launcher",):
+            yield from variable_problems(node, (*path, key))
+    if isinstance(tree.value, str) and _VARIABLE.match(tree.value):
+        what = f"{shown(tree.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
+        yield Problem(tree.at, dotted(path), what, "write the path itself; a relative one moves with its project")

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from pydantic import BaseModel, GetCoreSchemaHandler, ValidationError
+from pydantic import BaseModel, GetCoreSchemaHandler, SecretStr, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from ..errors import UsageError
+from ..errors import UsageError, recorded
 from ..registry import load, singular
 
 
@@ -88,20 +89,33 @@ class OfKind:
         except UsageError as error:
             raise _at_name("unknown_name", error.what, name, error.hint) from None
         settings = validate_strictly(plugin.Settings, {key: entry for key, entry in value.items() if key != "name"})
+        leaves = list(_leaves(settings.model_dump()))
+        # numpy, torch and databases cannot hold larger integers
         size = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
-        large = _large_integers(settings.model_dump())
-        if errors := [InitErrorDetails(type=size, loc=path, input=0) for path in large]:
+        hint = "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"
+        text = {"message": "looks like a secret, and records show settings", "hint": hint}
+        secret = PydanticCustomError("secret", "{message}", text)
+        wrong = {path: size for path, leaf in leaves if isinstance(leaf, int) and not -(1 << 63) <= leaf < 1 << 63}
+        wrong |= {path: secret for path, leaf in (*leaves, *_leaves(value)) if _looks_secret(path, leaf)}
+        if errors := [InitErrorDetails(type=kind, loc=path, input=0) for path, kind in wrong.items()]:
             raise ValidationError.from_exception_data("Part", errors)
         return Part(self.kind, name, settings)
 
 
-def _large_integers(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
-    """Paths of the integers that numpy, torch and databases cannot hold."""
-    entries = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list | tuple) else ()
-    for key, entry in entries:
-        yield from _large_integers(entry, (*path, key))
-    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
-        yield path
+def _leaves(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], object]]:
+    """Path and value of all that is neither a mapping nor a list."""
+    if not isinstance(value, dict | list | tuple):
+        yield path, value
+        return
+    for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
+        yield from _leaves(entry, (*path, key))
+
+
+def _looks_secret(path: tuple[str | int, ...], leaf: object) -> bool:
+    """Whether a text looks like a secret, by its key or by itself; the name of a variable does not."""
+    key = next((step for step in reversed(path) if isinstance(step, str)), "")
+    plain = isinstance(leaf, str) and not re.fullmatch(r"\$\{?\w+\}?|", leaf)
+    return isinstance(leaf, SecretStr) or (plain and recorded(leaf, key) != leaf)
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:

@@ -41,7 +41,7 @@ PARAMETERS = {"robot": "robot.link_mass", "task": "task.gravity"}
 AGENT_HINT = "name a learning algorithm, e.g. `agent: sac`"
 ROLLOUT_HINT = "name an on-policy buffer, e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both"
 _LENGTH = ("too_short", "too_long")
-_UNSHOWN = ("value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
+_UNSHOWN = ("secret", "value_error", "assertion_error", "unknown_name", "missing_name", "part_type", *_LENGTH)
 """Errors whose message does not show the value."""
 
 

@@ -8,15 +8,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from itertools import islice
 from typing import Annotated, Any, Literal, TypeAlias
 
-from pydantic import AfterValidator, SerializerFunctionWrapHandler, model_serializer, model_validator
+from pydantic import AfterValidator, BeforeValidator, SerializerFunctionWrapHandler, model_serializer, model_validator
 from pydantic import Field as Setting
 
 from ..core import Measure, Settings
 from ..errors import UsageError
 from ..registry import alternatives
 
-Seed = Annotated[int, Setting(ge=0, le=10**60)]
-"""A seed of at most 60 digits: names of folders contain it."""
+Seed = Annotated[int, Setting(ge=0, le=2**63 - 1)]
+"""A seed of at most 63 bits, which every database stores as a number."""
 
 
 def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
@@ -28,9 +28,21 @@ def _distinct(seeds: tuple[int, ...]) -> tuple[int, ...]:
     return seeds
 
 
+def _counted(seeds: Any) -> Any:
+    if type(seeds) is not int:
+        return tuple(seeds) if isinstance(seeds, list) else seeds
+    if not 1 <= seeds <= MOST_SEEDS:
+        raise ValueError(f"should be a list, or a number of seeds from 1 to {MOST_SEEDS:,}, not {seeds}")
+    return tuple(range(seeds))
+
+
+MOST_SEEDS = 10_000
+Count = Annotated[int, Setting(ge=1, le=MOST_SEEDS)]
+Listed = Annotated[tuple[Seed, ...], Setting(json_schema_extra={"minItems": 1, "uniqueItems": True})]
 Seeds = Annotated[
-    tuple[Seed, ...], AfterValidator(_distinct), Setting(json_schema_extra={"minItems": 1, "uniqueItems": True})
+    tuple[Seed, ...], AfterValidator(_distinct), BeforeValidator(_counted, json_schema_input_type=Count | Listed)
 ]
+"""Distinct seeds; a number n stands for 0 to n - 1."""
 Number: TypeAlias = float  # SweepParameter has fields named float and int
 Whole: TypeAlias = int
 

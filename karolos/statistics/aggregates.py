@@ -7,7 +7,7 @@ mean, stratified bootstrap, probability of improvement, performance profiles); t
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -19,6 +19,12 @@ _Floats = NDArray[np.float64]
 Statistic = Callable[[_Floats], _Floats]
 """A number for each row: values (..., n) to (...)."""
 RESAMPLES = 2000
+MANY = 1000
+"""Values from which on they are not sorted, but divided at the quartiles."""
+DRAWN = 1 << 20
+"""Values that are drawn at a time, so that the memory does not grow with the number of seeds."""
+BAND_DRAWS = 1 << 20
+"""Values that a band is made of at each point. With more than 524 seeds it has fewer resamples, at least 200."""
 LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Quantiles at the ends of a 95 % interval."""
 FEW_SEEDS = 5
@@ -37,8 +43,11 @@ def iqm(values: ArrayLike) -> _Floats:
 
     nan where a value is.
     """
-    ordered = np.sort(np.asarray(values, float), axis=-1)  # nan last
-    cut = ordered.shape[-1] // 4
+    ordered = np.asarray(values, float)
+    count = ordered.shape[-1]
+    cut = count // 4
+    # nan last; of many values it is enough to know which are in the middle
+    ordered = np.sort(ordered) if count < MANY else np.partition(ordered, (cut, count - 1 - cut, count - 1))
     middle = ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
     return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
 
@@ -64,8 +73,7 @@ def paired_interval(
     seeds = table.shape[-1]
     if reliability(seeds) == "none":
         return None
-    drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
-    found = statistic(*(row[drawn] for row in table))
+    found = np.concatenate([statistic(*(row[drawn] for row in table)) for drawn in _resamples(generator, seeds)])
     known = found[~np.isnan(found)]
     if known.size < (1 - MOST_UNKNOWN) * RESAMPLES:
         return None
@@ -82,14 +90,26 @@ def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple
     seeds = table.shape[-1]
     if reliability(seeds) == "none":
         return None
-    drawn = generator.integers(0, seeds, (RESAMPLES, seeds))
-    low, high = np.quantile(np.stack([statistic(row[drawn]) for row in table]), LEVELS, axis=1)
+    count = min(max(BAND_DRAWS // seeds, 200), RESAMPLES)
+    draws = [[statistic(row[drawn]) for row in table] for drawn in _resamples(generator, seeds, count)]
+    low, high = np.quantile(np.concatenate(draws, axis=1), LEVELS, axis=1)
     return low, high
+
+
+def _resamples(generator: Generator, seeds: int, count: int = RESAMPLES) -> Iterator[NDArray[np.int64]]:
+    """Resamples (k, seeds) of the seeds' places, `count` in all and some at a time."""
+    some = max(DRAWN // seeds, 1)
+    for first in range(0, count, some):
+        yield generator.integers(0, seeds, (min(some, count - first), seeds))
 
 
 def improvement(ours: ArrayLike, theirs: ArrayLike) -> float:
     """Probability that a run of ours is better than one of theirs; ties count one half. Values (n,) and (m,)."""
-    return float(_improvements(np.asarray(ours, float), np.asarray(theirs, float)))
+    one, other = np.asarray(ours, float), np.sort(np.asarray(theirs, float))
+    if np.isnan(one).any() or np.isnan(other).any():
+        return float("nan")
+    better, not_worse = (np.searchsorted(other, one, side).sum() for side in ("left", "right"))
+    return float(better + not_worse) / (2 * one.size * other.size)
 
 
 def improvement_interval(ours: ArrayLike, theirs: ArrayLike, generator: Generator) -> tuple[float, float] | None:
@@ -97,16 +117,10 @@ def improvement_interval(ours: ArrayLike, theirs: ArrayLike, generator: Generato
     one, other = np.asarray(ours, float), np.asarray(theirs, float)
     if "none" in {reliability(one.size), reliability(other.size)}:
         return None
-    drawn = one[generator.integers(0, one.size, (RESAMPLES, one.size))]
-    against = other[generator.integers(0, other.size, (RESAMPLES, other.size))]
-    low, high = np.quantile(_improvements(drawn, against), LEVELS)
+    drawn = [one[places] for part in _resamples(generator, one.size) for places in part]
+    against = [other[places] for part in _resamples(generator, other.size) for places in part]
+    low, high = np.quantile([improvement(*pair) for pair in zip(drawn, against, strict=True)], LEVELS)
     return float(low), float(high)
-
-
-def _improvements(ours: _Floats, theirs: _Floats) -> _Floats:
-    """`improvement` over the last axis: (..., n) and (..., m) to (...)."""
-    signs = np.sign(ours[..., :, None] - theirs[..., None, :])
-    return np.asarray((signs.mean(axis=(-2, -1)) + 1) / 2)
 
 
 def profile(values: ArrayLike, thresholds: ArrayLike) -> _Floats:

@@ -31,10 +31,9 @@ from sqlalchemy import (
 from sqlalchemy.exc import ArgumentError, DataError, DBAPIError, IntegrityError, NoSuchModuleError
 from sqlalchemy.pool import NullPool
 
-from ..errors import StoreError
+from ..errors import StoreError, redact
 from ..files import network_share
 from ..files import writing as writing_file
-from ..records.provenance import redact
 from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
 
 BUSY_SECONDS = 20.0

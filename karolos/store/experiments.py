@@ -20,7 +20,7 @@ from .runs import matching_runs, summaries
 from .tables import RUNS, SPECS, TESTS, TRIALS
 
 ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
-"""What experiments can be sorted by: means over their runs, and when the newest run was created."""
+"""What experiments can be sorted by: means over their finished runs, and when the newest run was created."""
 SMALLEST_FIRST = ("name", "steps", "seconds")
 
 
@@ -67,18 +67,18 @@ def find_experiments(
     if order not in ORDERS:
         raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
     kept = None if where is None else matching_runs(database, where)
-    query = select(*{RUNS.c[name] for name in ("run", "experiment", order)})
+    query = select(*{RUNS.c[name] for name in ("run", "experiment", "state", order)})
     query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     if not trials:
         query = query.where(RUNS.c.name.not_in(select(TRIALS.c.name)))
-    matching: dict[str, list[tuple[str, Any]]] = defaultdict(list)
+    matching: dict[str, list[tuple[str, bool, Any]]] = defaultdict(list)
     with database.reading() as connection:
         for row in connection.execute(query):
             if kept is None or row.run in kept:
-                matching[row.experiment].append((row.run, getattr(row, order)))
-        ranks = {experiment: _rank([value for _, value in runs], order) for experiment, runs in matching.items()}
+                matching[row.experiment].append((row.run, row.state == "finished", getattr(row, order)))
+        ranks = {experiment: _rank(_values(runs), order) for experiment, runs in matching.items()}
         chosen = islice(sorted(matching, key=ranks.__getitem__), offset, offset + limit)
-        wanted = {run: experiment for experiment in chosen for run, _ in matching[experiment]}
+        wanted = {run: experiment for experiment in chosen for run, *_ in matching[experiment]}
         newest = select(RUNS).where(RUNS.c.run.in_(wanted)).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
         found = summaries(connection, newest, database.home)
     groups: dict[str, list[RunSummary]] = {experiment: [] for experiment in wanted.values()}
@@ -104,6 +104,11 @@ def steps_asked(database: Database, runs: Sequence[str]) -> dict[str, int]:
     query = select(RUNS.c.run, SPECS.c.content).join(SPECS).where(RUNS.c.run.in_(runs))
     asked = {run: (spec.get("training") or {}).get("steps") for run, spec in database.fetch(query)}
     return {run: steps for run, steps in asked.items() if isinstance(steps, int) and steps > 0}
+
+
+def _values(runs: Sequence[tuple[str, bool, Any]]) -> list[Any]:
+    """The values of the finished runs; of all if none is finished."""
+    return [value for _, finished, value in runs if finished] or [value for *_, value in runs]
 
 
 def _rank(values: Sequence[Any], order: str) -> Any:

@@ -39,7 +39,7 @@ def folder_path(stored: str, home: Path | None) -> str:
 
 def run_row(summary: RunSummary, home: Path | None) -> dict[str, Any]:
     """Columns of a run's summary; `home` as for `as_stored`."""
-    return summary.row() | {"folder": as_stored(summary.folder, home), "seed": str(summary.seed)}
+    return summary.row() | {"folder": as_stored(summary.folder, home)}
 
 
 def summary_of(row: Any, home: Path | None) -> RunSummary:

@@ -67,6 +67,8 @@ def find_runs(database: Database, **conditions: Unpack[RunConditions]) -> tuple[
         raise UsageError(f"there is no state {state!r}", hint=alternatives(state, STATES, what="states"))
     condition = filters.parse(where) if where is not None else None
     query = select(RUNS).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
+    if state is not None:  # an unfinished one may be in any state by now
+        query = query.where(RUNS.c.state.in_((state, *UNFINISHED)))
     for column, prefix in ((RUNS.c.run, conditions.get("prefix")), (RUNS.c.experiment, conditions.get("experiment"))):
         if prefix is not None:
             query = query.where(func.substr(column, 1, len(prefix)) == prefix)  # LIKE may ignore case
@@ -115,8 +117,6 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
         if measured:
             values |= means(own["measures"])
         values |= {name: own[name] for name in named}
-        if "seed" in named:
-            values["seed"] = int(own["seed"])
         if "folder" in named:
             values["folder"] = folder_path(own["folder"], home)
         for key, value in values.items():
@@ -183,11 +183,14 @@ def _summary(row: Any, home: Path | None) -> RunSummary:
 
 
 def _current(indexed: RunSummary) -> RunSummary:
-    """The current state of a run that is unfinished in the index."""
+    """The current state of a run that is unfinished in the index, and how far it is."""
     if not os.path.isdir(indexed.folder):
         return indexed
     try:
         folder = RunFolder.open(indexed.folder)
-        return indexed if folder.is_locked() else folder.summary()
+        if not folder.is_locked():
+            return folder.summary()
+        now, progress = folder.state(), ("steps", "seconds", "updates", "total_seconds", "updated")
+        return replace(indexed, **{name: getattr(now, name) for name in progress})
     except RunError:
         return replace(indexed, state="lost")

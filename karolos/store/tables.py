@@ -16,7 +16,7 @@ from ..records.results import TestCounts
 from ..records.run_records import RunSummary
 from ..records.sweep_records import SweepRecord, SweepTrialState, Trial
 
-SCHEMA = 9
+SCHEMA = 10
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused. The run folders are the truth: `karolos db upgrade` replaces older tables and
@@ -49,13 +49,12 @@ def _owner(column: str) -> ForeignKey:
     return ForeignKey(column, ondelete="CASCADE")
 
 
-def _columns(kind: type, *, key: str, texts: Collection[str] = (), without: Collection[str] = ()) -> Iterator[Any]:
+def _columns(kind: type, *, key: str, without: Collection[str] = ()) -> Iterator[Any]:
     """A column for each field of a dataclass; lists and objects are JSON.
 
     Args:
         kind: the dataclass.
         key: its field that is part of the primary key.
-        texts: fields that are stored as text: integers of more than 64 bits.
         without: fields that have no column.
     """
     for name, hint in get_type_hints(kind).items():
@@ -63,7 +62,7 @@ def _columns(kind: type, *, key: str, texts: Collection[str] = (), without: Coll
             continue
         options = get_args(hint)
         plain = options[0] if NoneType in options else hint
-        stored = Text() if name in texts else _TYPES.get(plain, JSON(none_as_null=True))
+        stored = _TYPES.get(plain, JSON(none_as_null=True))
         nullable, indexed = NoneType in options, name in _INDEXED
         yield Column(name, stored, primary_key=name == key, nullable=nullable, index=indexed, autoincrement=False)
 
@@ -83,7 +82,7 @@ SOFTWARE = Table("software", TABLES, _part_of_key("digest", Text()), _column("co
 RUNS = Table(
     "runs",
     TABLES,
-    *_columns(RunSummary, key="run", texts=("seed",)),
+    *_columns(RunSummary, key="run"),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
     Column("software", ForeignKey("software.digest"), nullable=False, index=True),
 )

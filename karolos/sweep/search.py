@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-from ..errors import SpecError, UsageError
+from ..errors import KarolosError, UsageError
 from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequest
 from ..experiment.start_from import pinned
@@ -128,16 +128,19 @@ class Search:
         return SweepOutcome(**vars(record), front=folder.study.front(), stop_code=stop.exit_code, left=left)
 
 
-def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | SpecError]]:
-    """Sampled values with their spec, or the error of an invalid one: random, or a grid's first combinations."""
+def samples(spec: Spec, count: int) -> Iterator[tuple[dict[str, Any], Spec | KarolosError]]:
+    """The values of the first trials with their specs, or the error of one that cannot run."""
     sweep = _sweep_of(spec)
     drawn = list(islice(sweep.combinations(), count)) if sweep.sampler == "grid" else Study.draws(sweep, count)
     for place, values in enumerate(drawn):
         name = f"{spec.name}-t{place:03}"
         try:
-            yield values, spec_of_trial(spec, values, name, sweep.seeds, name)
-        except SpecError as error:
+            trial = choosing.for_search(spec_of_trial(spec, values, name, sweep.seeds, name))
+            check_parts(trial)
+        except KarolosError as error:
             yield values, error
+        else:
+            yield values, trial
 
 
 def _sweep_of(spec: Spec) -> Sweep:

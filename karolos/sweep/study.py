@@ -31,6 +31,8 @@ _STATES: dict[TrialState, SweepTrialState] = {
 _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)  # constraints.txt pins the version
+STARTUP_TRIALS = 10
+"""Trials with random values, before values depend on results."""
 FEW_TRIALS = 4
 """Smallest number of different results for parameter importances."""
 
@@ -100,9 +102,12 @@ class Study:
 
     @staticmethod
     def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
-        """Random values for `count` trials."""
-        study = optuna.create_study(sampler=optuna.samplers.RandomSampler(seed=_seed(sweep, 0)))
-        return [dict(_drawn(study.ask(), sweep).drawn) for _ in range(count)]
+        """The values of the first `count` trials, of which none depends on results: at most STARTUP_TRIALS."""
+        study, drawn = optuna.create_study(directions=["minimize"] * len(sweep.objectives)), []
+        for number in range(count):
+            study.sampler = _sampler(sweep, number)
+            drawn.append(dict(_drawn(study.ask(), sweep).drawn))
+        return drawn
 
     def trials(self) -> tuple[Trial, ...]:
         """All trials that have begun, by number."""
@@ -113,7 +118,7 @@ class Study:
         trials = []
         for one in self._all():
             if one.state == TrialState.RUNNING:
-                self._study.sampler = self._sampler(one.number)
+                self._study.sampler = _sampler(self._sweep, one.number)
                 trials.append(_drawn(optuna.Trial(self._study, one._trial_id), self._sweep))
         return trials
 
@@ -123,7 +128,7 @@ class Study:
         waiting = any(one.state == TrialState.WAITING for one in trials)
         if self._grid and not waiting:
             self._study.enqueue_trial(self._grid[len(trials)])
-        self._study.sampler = self._sampler(len(trials) - waiting)
+        self._study.sampler = _sampler(self._sweep, len(trials) - waiting)
         return _drawn(self._study.ask(), self._sweep)
 
     def front(self) -> tuple[Trial, ...]:
@@ -170,22 +175,25 @@ class Study:
             error=one.user_attrs.get(_ERROR),
         )
 
-    def _sampler(self, number: int) -> optuna.samplers.BaseSampler:
-        seed = _seed(self._sweep, number)
-        if self._sweep.sampler == "gp":
-            return optuna.samplers.GPSampler(seed=seed, warn_independent_sampling=False)
-        if self._sweep.sampler == "tpe":
-            conditional = any(parameter.when for parameter in self._sweep.space.values())
-            # `group` draws together what is drawn under the same conditions.
-            return optuna.samplers.TPESampler(seed=seed, multivariate=True, group=conditional)
-        return optuna.samplers.RandomSampler(seed=seed)
-
     def _pruner(self, steps: int) -> optuna.pruners.BasePruner:
         settings = self._sweep.pruner
         if settings is None:
             return optuna.pruners.NopPruner()
         warmup = math.ceil(settings.warmup * steps)
         return optuna.pruners.MedianPruner(n_startup_trials=settings.startup, n_warmup_steps=warmup)
+
+
+def _sampler(sweep: Sweep, number: int) -> optuna.samplers.BaseSampler:
+    seed = _seed(sweep, number)
+    if sweep.sampler == "gp":
+        return optuna.samplers.GPSampler(seed=seed, n_startup_trials=STARTUP_TRIALS, warn_independent_sampling=False)
+    if sweep.sampler == "tpe":
+        conditional = any(parameter.when for parameter in sweep.space.values())
+        # `group` draws together what is drawn under the same conditions.
+        return optuna.samplers.TPESampler(
+            seed=seed, n_startup_trials=STARTUP_TRIALS, multivariate=True, group=conditional
+        )
+    return optuna.samplers.RandomSampler(seed=seed)
 
 
 def _seed(sweep: Sweep, number: int) -> int:

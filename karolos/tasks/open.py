@@ -195,7 +195,9 @@ class Open(Task):
 
     def reset(self, generator: Generator) -> None:
         self.yaw = pi + generator.uniform(-TURN, TURN)
-        self._stand(sample_position(generator, self.places, "the handle", self._fits))
+        self._stand(
+            sample_position(generator, self.places, "the handle with all of its way in the workspace", self._fits)
+        )
         self.piece.place((*self.origin, 0.0), (0.0, 0.0, sin(self.yaw / 2), cos(self.yaw / 2)))
         begin, goal = generator.uniform(0.0, self.range, 2).tolist()
         while abs(goal - begin) < self.goal_rule.threshold:

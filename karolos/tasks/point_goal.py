@@ -119,9 +119,10 @@ def sample_position(
         position = generator.uniform(box.low, box.high).astype(np.float32)
         if accepted is None or accepted(position):
             return position
+    low, high = (" ".join(f"{round(number, 3):g}" for number in end) for end in (box.low, box.high))
     raise RunError(
         f"found no place for {what} in {PLACE_ATTEMPTS} attempts",
-        hint=f"the box is {box.low} to {box.high} m; a smaller threshold or another range leaves more room",
+        hint=f"the box is {low} to {high} m; a smaller threshold or another range leaves more room",
     )
 
 

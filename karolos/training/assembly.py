@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import contextmanager
 from functools import partial
 
 from ..core import Agent, Buffer, Orchestrator, Signature
@@ -17,6 +17,7 @@ from ..specification.merge import PARTS
 from ..specification.sweep import MEASURES, directions
 from .demonstrations import demonstrating_expert
 from .memory import check_memory, environments_of
+from .trial import try_environments
 
 REPLAY_SETTINGS = {
     "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
@@ -66,10 +67,11 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 
 
 def check_parts(spec: Spec, jobs: int = 1) -> str | None:
-    """Build the spec's parts once, so that parts that do not fit are refused before anything runs.
+    """Build the spec's parts once, so that what does not fit or fails at once is refused before anything runs.
 
-    Builds one environment, the agent and the buffer, and discards them. A world is simulated only if an expert is
-    needed. Returns a note if a run of the spec may make no gradient update, or a sweep's objective may say nothing.
+    Makes the first steps of an episode, which compile what workers then load. Builds the agent and the buffer, and
+    discards them. Returns a note if a run of the spec may make no gradient update, or a sweep's objective may say
+    nothing.
 
     Args:
         spec: to check.
@@ -79,10 +81,8 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         UsageError: two parts do not fit together, or need too much memory; names the setting and where it was set.
         KarolosError: a plugin or the machine prevents it.
     """
-    with located(spec), ExitStack() as stack:
-        with _making("environment", spec.environment):
-            environment = stack.enter_context(opened(spec.recipe(randomize=True)))
-        signature, size = environment.signature, environments_of(spec)
+    with located(spec):
+        signature, size = try_environments(spec), environments_of(spec)
         check_memory(spec, signature, jobs)
         with _making("agent", spec.agent):
             agent = make_agent(spec, signature, SeedTree(0))
@@ -94,7 +94,8 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         agent.check(buffer, demonstrations=spec.demonstrations is not None)
         if spec.demonstrations is not None:
             buffer.add_demonstrations(())
-            demonstrating_expert(environment)
+            with opened(spec.recipe(randomize=True)) as environment:
+                demonstrating_expert(environment)
         return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
 
 
@@ -206,11 +207,12 @@ def located(spec: Spec) -> Iterator[None]:
 
 
 def _origin(spec: Spec, path: str | None) -> str | None:
-    """Where the setting `path`, or the first setting below it, was set. None for defaults and unknown paths."""
+    """Where the setting `path`, or the first one below it, or its part was set. None for default parts."""
     if path is None:
         return None
-    origins = (origin for key, origin in spec.origins.items() if key == path or key.startswith(f"{path}."))
-    place = next((origin for origin in origins if origin != "default"), None)
+    part = path.partition(".")[0]  # which holds a setting that was not set
+    near = [key for one in (path, part) for key in spec.origins if key == one or key.startswith(f"{one}.")]
+    place = next((spec.origins[key] for key in near if spec.origins[key] != "default"), None)
     if place is None or place.startswith("override "):
         return place
     changed = {origin for key, origin in spec.origins.items() if key.startswith(TOGETHER)}  # what it may contradict

@@ -241,7 +241,8 @@ class Matrix:
             self._test(found, driver, say)
             driver.stop.check()
         for label, spec in self.variants.items():
-            found.baselines[label] = measure_baselines(spec, found.folder / "baselines.jsonl", driver.stop)
+            with driver.stop.at_once():
+                found.baselines[label] = measure_baselines(spec, found.folder / "baselines.jsonl", driver.stop)
 
     def _test(self, found: MatrixRuns, driver: Driver, say: Callable[[str], None]) -> None:
         """Play the zero-shot tests of every pair and seed."""

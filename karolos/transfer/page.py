@@ -92,10 +92,7 @@ def metric_map(report: TransferReport, name: str) -> Drawing:
 @look()
 def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawing]]:
     """A heat map for each metric, and the learning curves on each target."""
-    curves = [
-        titled_curve(comparison, place, f"Learning on {short(label)}")
-        for place, (label, comparison) in enumerate(report.learning.items())
-    ]
+    curves = [titled_curve(one, f"Learning on {short(label)}") for label, one in report.learning.items()]
     return [metric_map(report, name) for name in report.metrics], curves
 
 
@@ -116,7 +113,7 @@ def page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawi
         *([Section("Learning", figures=curves)] if curves else []),
         Section("Runs", table=_runs_table(report)),
     ]
-    return document(f"Transfer: {report.name}", f"{len(report.seeds)} seeds", sections, report.warnings)
+    return document(f"Transfer: {report.name}", f"seeds {', '.join(map(str, report.seeds))}", sections, report.warnings)
 
 
 def _runs_table(report: TransferReport) -> Table:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -13,12 +13,13 @@ from urllib.parse import parse_qsl, quote, urlencode
 
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
-from starlette.requests import Request
+from starlette.exceptions import HTTPException
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from .. import files
+from .. import checkpoint, files
 from ..comparison import compare, gather, labels_of
 from ..comparison.contenders import Contender, load_compared
 from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
@@ -28,6 +29,7 @@ from ..records.run_records import UNFINISHED, RunRecord, RunSummary, flatten
 from ..records.sweep_records import FOLDER as SWEEPS
 from ..report import page
 from ..report.comparison_figures import comparison_figures, learning
+from ..report.figures import short
 from ..report.page import Section, comparison_sections
 from ..report.tables import (
     Table,
@@ -54,10 +56,9 @@ MOST_POSTED = 1 << 20
 """Bytes of a form: more than the longest note has."""
 KEPT = 8
 """Drawn comparisons and runs that are kept."""
-NO_LONGER_SECONDS = 30
-"""After this time a list is made again although the database did not change: a run may have been killed."""
-REPORTS = {"sweeps": SWEEPS, "transfers": "transfers"}
-"""Kind of a report -> folder of its folders in the runs folder."""
+REPORTS, WRITTEN = (SWEEPS, "suites", "transfers"), ("report.html", "figures/*.svg")
+"""Folders in the runs folder whose folders hold reports, and what is shown of these. Each has its page at its path, so
+that a report's links to run folders lead to the pages of the runs."""
 
 
 class Application:
@@ -71,33 +72,35 @@ class Application:
     def __init__(self, runs: Path, store: Store) -> None:
         self._runs, self._store, self.films = runs, store, films.Films()
         self._templates = page.templates(HERE / "pages", page.FOLDER)
-        self._drawing = threading.Lock()  # matplotlib's settings are those of the process
-        self._drawn: OrderedDict[object, Any] = OrderedDict()
+        self._keeping = threading.Lock()
+        self._drawn: OrderedDict[object, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
     def asgi(self) -> Starlette:
         """What a server calls."""
         routes = [
             Route("/", self.experiments),
             Route("/compare", self.compared),
+            *(Route(f"/runs/{kind}/{{name}}/{{file:path}}", partial(self.report, kind)) for kind in REPORTS),
             Route("/runs/{run}", self.run),
             Route("/runs/{run}/labels", self.label, methods=["POST"]),
             Route("/runs/{run}/film/{kind}", self.film, methods=["POST"]),
             Route("/runs/{run}/film/{kind}", self.film_file),
             Route("/runs/{run}/tests/{test}", self.test),
-            Route("/sweeps", self.sweeps),
-            Route("/reports/{kind}/{name}", self.report),
+            *(Route(f"/{kind}", partial(self.reports, kind)) for kind in REPORTS),
             Route("/folders", self.folders),
             Route("/static/page.css", lambda _: FileResponse(page.FOLDER / "page.css")),
             Mount("/static", StaticFiles(directory=HERE / "static")),
         ]
-        return Starlette(routes=routes, exception_handlers={KarolosError: self._explained})
+        handlers = {KarolosError: self._explained, HTTPException: self._refused, ClientDisconnect: _left}
+        return Starlette(routes=routes, exception_handlers=handlers)
 
     def experiments(self, request: Request) -> Response:
         """Experiments with their seeds, the newest first; the page asks again while it is open."""
         asked = request.query_params
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
-        seen = _digest(self._store.database.version(), time.monotonic() // NO_LONGER_SECONDS)
+        going = [(run.run, run.state, run.steps) for state in UNFINISHED for run in self._store.runs(state=state)]
+        seen = _digest(self._store.database.version(), going)
         if asked.get("seen") == seen:
             return Response(status_code=204)
         shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}
@@ -105,6 +108,7 @@ class Application:
             options: dict[str, Any] = {"trials": trials, "order": order, "offset": first, "limit": EXPERIMENTS}
             found = self._store.experiments(where or None, **options)
             shown |= {"rows": experiment_rows(self._store, found.experiments), "total": found.total}
+            shown["hidden"] = not (where or trials or found.total) and self._store.runs(limit=1, trials=True)
         except UsageError as error:
             shown["problem"] = str(error)
         kept: dict[str, Any] = {"where": where, "order": order, **({"trials": 1} if trials else {})}
@@ -142,7 +146,8 @@ class Application:
         """One run: how it learns, its tests, failures, films, settings and events."""
         summary = self._found(request)
         path = Path(summary.folder)
-        seen = _digest(summary.state, *(_changed(path / name) for name in ("state.json", "tests.jsonl", "final.jsonl")))
+        tested = _digest(summary.state, *(_changed(path / name) for name in ("tests.jsonl", "final.jsonl")))
+        seen = _digest(tested, _changed(path / "state.json"))
         if request.query_params.get("seen") == seen:
             return Response(status_code=204)
         folder, record, broken = self._opened(summary.folder)
@@ -173,7 +178,7 @@ class Application:
             facts=_facts(record, about),
             problems=(*broken, *record.problems, *unreadable),
             live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
-            shown=self._once(("run", run.run, seen), draw),
+            shown=self._once(("run", run.run, tested), draw),
             final=final and tables[0],
             tests=tables[-1] if record.tests else None,
             steps=[test.steps for test in record.tests],
@@ -185,6 +190,7 @@ class Application:
             defaults=[one for one in settings if one[2] == "default"],
             events=[_event(event) for event in events],
             films=self._films(folder, failures),
+            policy=folder is not None and bool(checkpoint.names(folder.checkpoints)),
         )
 
     def test(self, request: Request) -> Response:
@@ -229,26 +235,25 @@ class Application:
     def film_file(self, request: Request) -> Response:
         """A film that was made."""
         path = self._folder(request).path / films.FILES.get(request.path_params["kind"], "none")
-        return _file(path, "video/mp4")
+        if not path.is_file():
+            raise NoSuchRunError(f"there is no {path.name} yet")
+        return FileResponse(path, media_type="video/mp4")
 
-    def sweeps(self, _: Request) -> Response:
-        """Sweeps and matrices, with their reports."""
-        transfers = [path for path in sorted((self._runs / REPORTS["transfers"]).glob("*")) if path.is_dir()]
-        found = [(sweep, sweep.state(), _has_report(Path(sweep.folder))) for sweep in self._store.sweeps.all()]
-        matrices = [(path.name, _has_report(path)) for path in transfers]
-        return self._page("sweeps.html", sweeps=found, matrices=matrices)
+    def reports(self, kind: str, _: Request) -> Response:
+        """Sweeps, suites or matrices of transfers, with what they wrote."""
+        sweeps = [(sweep, sweep.state()) for sweep in self._store.sweeps.all()] if kind == SWEEPS else []
+        return self._page("reports.html", kind=kind, written=_written(self._runs / kind), sweeps=sweeps)
 
-    def report(self, request: Request) -> Response:
-        """The page that a sweep or a matrix wrote, which may run no script."""
-        kind = REPORTS.get(request.path_params["kind"])
-        if kind is None:
-            raise UsageError("only sweeps and matrices have reports")
-        path = files.below(self._runs / kind, request.path_params["name"]) / "report.html"
-        answer = _file(path, "text/html")
-        answer.headers["Content-Security-Policy"] = (
-            "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
-        )
-        return answer
+    def report(self, kind: str, request: Request) -> Response:
+        """A page or figure that a sweep, suite or matrix wrote, which may run no script; the page with a way back."""
+        name, file = request.path_params["name"], request.path_params["file"]
+        if file not in _written(self._runs / kind).get(name, ()):  # looked for by no path: a name may be none
+            raise NoSuchRunError("there is no such report", hint=f"the page of {kind} lists them")
+        text = (files.below(self._runs / kind, name) / file).read_text("utf-8", "replace")
+        text = text.replace("<body>", f'<body>\n<p><a href="/{kind}">{kind.title()}</a></p>', 1)
+        policy = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+        media = "text/html" if file.endswith(".html") else "image/svg+xml"
+        return Response(text, media_type=media, headers={"Content-Security-Policy": policy})
 
     def folders(self, request: Request) -> Response:
         """How the run folders and the database differ: the lines of `karolos db check`."""
@@ -259,6 +264,12 @@ class Application:
         assert isinstance(error, KarolosError)  # the application registers it for these
         return self._page("error.html", 404 if isinstance(error, NoSuchRunError) else 400, problem=str(error))
 
+    def _refused(self, request: Request, error: Exception) -> Response:
+        """What is answered to an address that is unknown, or asked for in another way than it can be."""
+        assert isinstance(error, HTTPException)  # the application registers it for these
+        problem = f"{short(request.url.path, 80)}: {error.detail.lower()}"
+        return self._page("error.html", error.status_code, problem=problem)
+
     def _page(self, template: str, status: int = 200, **values: Any) -> Response:
         return HTMLResponse(self._templates.get_template(template).render(values), status)
 
@@ -268,13 +279,15 @@ class Application:
         return parts.show(sections, contenders, "/runs/")
 
     def _once(self, key: object, draw: Callable[[], Any]) -> Any:
-        """What was drawn for this key, or is drawn now: one drawing at a time."""
-        with self._drawing:
-            if key not in self._drawn:
-                self._drawn[key] = draw()
-                if len(self._drawn) > KEPT:
-                    self._drawn.popitem(last=False)
-            return self._drawn[key]
+        """What was drawn for this key, or is drawn now. Meanwhile others draw what has other keys."""
+        with self._keeping:
+            drawing, drawn = self._drawn.setdefault(key, (threading.Lock(), []))
+            if len(self._drawn) > KEPT:
+                self._drawn.popitem(last=False)
+        with drawing:
+            if not drawn:
+                drawn.append(draw())
+        return drawn[0]
 
     def _found(self, request: Request) -> RunSummary:
         """The run in the address."""
@@ -364,14 +377,18 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
     return str(event.get("time", ""))[:19].replace("T", " "), str(event.get("event", "")), shown
 
 
-def _has_report(folder: Path) -> bool:
-    return (folder / "report.html").is_file()
+def _left(_: Request, __: Exception) -> Response:
+    """Nobody hears this answer: the client left while it sent a form."""
+    return Response(status_code=400)
 
 
-def _file(path: Path, kind: str) -> Response:
-    if not path.is_file():
-        raise NoSuchRunError(f"there is no {path.name} yet")
-    return FileResponse(path, media_type=kind)
+def _written(root: Path) -> dict[str, list[str]]:
+    """Name of a sweep, suite or matrix -> the files of its report, relative to its folder."""
+    return {
+        folder.name: sorted(path.relative_to(folder).as_posix() for one in WRITTEN for path in folder.glob(one))
+        for folder in sorted(root.glob("*"))
+        if folder.is_dir()
+    }
 
 
 def _back(request: Request, part: str) -> Response:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from statistics import fmean
 
-from ..comparison import Estimate, one_per_seed
+from ..comparison import Estimate, averaged, name_of, one_per_seed
 from ..comparison.scores import estimate
 from ..core.seeding import SeedTree
 from ..records.run_records import RunSummary
@@ -69,28 +69,28 @@ def experiment_rows(store: Store, experiments: Iterable[Sequence[RunSummary]]) -
 
 
 def _row(runs: Sequence[RunSummary], tests: dict[str, list[CurvePoint]], asked: dict[str, int]) -> ExperimentRow:
-    counted = one_per_seed(runs).values()
+    counted, left_out = averaged(runs)
     has_success = any(run.success_end is not None for run in counted)
     reported = [run.success_end if has_success else run.mean_return for run in counted]
     episodes = next((run.episodes for run in counted if run.episodes), None)
     result = _estimate(tuple(one for one in reported if one is not None), episodes if has_success else None)
     value, _, interval = comparison_tables.estimate(result).partition(" ")
-    steps = count(fmean(run.steps for run in runs))
-    if wanted := [asked[run.run] for run in runs if run.run in asked]:
-        steps = f"{steps} of {count(max(wanted))}"
+    steps = count(fmean(run.steps for run in counted))
+    if training := [run for run in runs if run.run in asked]:
+        steps = f"{count(fmean(run.steps for run in training))} of {count(max(asked[run.run] for run in training))}"
     first = runs[-1]
     return ExperimentRow(
         experiment=first.experiment,
-        name=first.name,
+        name=name_of(runs[::-1]),
         about=", ".join(filter(None, (first.task or first.environment, first.robot, first.agent))),
         seeds=tuple(_seed(run, asked) for run in sorted(runs, key=lambda run: (run.seed, run.created))),
         result=result,
         is_ratio=has_success,
         value=value,
-        interval=interval,
-        lines=sparkline([_curve(tests[run.run], has_success) for run in counted if run.run in tests], has_success),
+        interval=", ".join(filter(None, (interval, left_out))),
+        lines=sparkline([_curve(tests[run.run], has_success) for run in runs if run.run in tests], has_success),
         steps=steps,
-        seconds=duration(fmean(run.seconds for run in runs)),
+        seconds=duration(fmean(run.seconds for run in counted)),
         updated=max(run.updated for run in runs)[:16].replace("T", " "),
     )
 

@@ -9,7 +9,7 @@ import typer
 from karolos_cli.check import check
 from support.commands import call
 
-GOOD = "robot: arm\ntask: reach\nagent: learner\n"
+GOOD = "robot: arm\ntask: reach\nagent: learner\norchestrator: {processes: 0}\n"
 app = typer.Typer()
 app.command()(check)
 

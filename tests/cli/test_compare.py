@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import shutil
 from pathlib import Path
@@ -181,13 +183,35 @@ def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(run
     figures.mkdir()
     options = ("--out", str(page), "--out", str(figures), "--width", "2.4", "--font", "6")
     code, _, err = call(app, "compare", "reach", "--runs", str(runs), *options)
-    assert (code, err) == (0, f"wrote {page}\nwrote 15 files into {figures}\n")
+    assert (code, err) == (0, f"wrote {page}\nwrote 12 files into {figures}\n")
     assert "<svg" in page.read_text()
-    assert len(list(figures.iterdir())) == 15
+    assert len(list(figures.iterdir())) == 12  # no profile of seeds that are alike
     drawn = (figures / "success_over_steps.svg").read_text()
     assert 'width="172.8pt"' in drawn  # 2.4 inches
     assert ("6px" in drawn, "9px" in drawn) == (True, False)
-    assert "success ratio at the end of the episode" in drawn
+    assert "success ratio at the end" in drawn
+
+
+def test_tables_are_written_for_papers_and_spreadsheets(runs: Path, tmp_path: Path) -> None:
+    add_run(runs, 0)
+    add_run(runs, 0, name="better", experiment=B)
+    label = '=x_1 & 50 %,"'
+    files = [str(tmp_path / f"t.{end}") for end in ("tex", "csv", "txt")]
+    options = ("--runs", str(runs), "--label", "a", "--label", label)
+    code, _, err = call(app, "compare", "reach", "better", *options, "--table", files[0], "--table", files[1])
+    assert (code, f"wrote {files[1]}" in err) == (0, True)
+    tex = Path(files[0]).read_text()
+    assert '{} & a & =x\\_1 \\& 50 \\%," \\\\\n\\midrule' in tex
+    assert "success end & 0.750 [0.531, 0.888] & " in tex
+    assert "time to 90 \\%, end & -- (0 of 1) & " in tex
+    assert tex.endswith("\\bottomrule\n\\end{tabular}\n")
+    first, second = csv.DictReader(io.StringIO(Path(files[1]).read_text()))
+    assert (first["label"], second["label"], second["parameters.name"]) == ("a", f"'{label}", "better")
+    assert (first["success_end.low"][:5], first["mean_return.value"]) == ("0.531", "0.0")
+    assert "--table: cannot write a table into 't.txt'" in refused(
+        "compare", "reach", *options[:2], "--table", files[2]
+    )
+    assert "--figure: nothing is drawn" in refused("compare", "reach", *options[:2], "--figure", "steps")
 
 
 def test_densities_are_read_from_the_database(runs: Path) -> None:

@@ -88,6 +88,9 @@ def test_runs_and_database_of_version_0_1_are_listed_shown_compared_and_continue
     assert "3 runs entered, 0 forgotten" in told
     assert f"warning: gone: its folder is not in {runs}" in told
     assert "the database agrees" in call(app, "check").stderr
+    with sqlite3.connect(runs / "karolos.sqlite") as new:
+        assert new.execute("SELECT DISTINCT typeof(seed) FROM runs WHERE seed < 3").fetchall() == [("integer",)]
+    new.close()
     listed = sorted(rows(runs_app, "list"), key=lambda row: row["run"])
     assert [
         tuple(row[key] for key in ("run", "state", "steps", "success_end", "mean_return")) for row in listed

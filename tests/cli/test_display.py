@@ -58,6 +58,23 @@ def test_a_line_has_the_speed_since_the_line_before() -> None:
     assert speeds == ["100 steps/s, 10 updates/s)", "50 steps/s, warm-up)"]
 
 
+def test_a_log_says_every_five_seconds_how_far_a_run_is_before_its_first_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr("karolos_cli.display.time.monotonic", lambda: clock[0])
+    screen = io.StringIO()
+    plain = Plain(screen)
+    plain(STARTED)
+    for second in range(1, 16):
+        clock[0] = float(second)
+        advanced = RunAdvanced("run", 100 * second, 10 * second, 1, float(second), False)
+        plain(RunBusy("run", "testing", second, 100) if second > 10 else advanced)
+    assert screen.getvalue().splitlines()[1:] == [
+        "run at 500 of 6,000 steps, 5.0 s (100 steps/s, 10 updates/s)",
+        "run at 1,000 of 6,000 steps, 10.0 s (100 steps/s, 10 updates/s)",
+        "run at 1,000 of 6,000 steps, 10.0 s (testing 15/100)",
+    ]
+
+
 def test_bar_fits_a_narrow_terminal() -> None:
     advanced = [RunAdvanced("run", steps, 2650, 100, steps / 290, False) for steps in (5000, 5296)]
     line = last_line(80, STARTED, *advanced, TESTED, RunBusy("run", "testing", 37, 100))

@@ -25,3 +25,8 @@ def test_help_says_what_each_option_takes(monkeypatch: pytest.MonkeyPatch) -> No
         shown = CliRunner().invoke(app, [*name.split()[1:], "--help"]).stdout
         options = shown.split("Options", 1)[1]
         assert not re.findall(r"<(?:bool|str|path|file|directory|int range|float range|list.*?)>", options), name
+
+
+def test_every_command_stands_in_a_group() -> None:
+    found = typer.main.get_command(app).commands.values()
+    assert {command.rich_help_panel for command in found} == {"Train", "Look", "Compare", "Extend", "Keep"}

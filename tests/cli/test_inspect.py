@@ -21,7 +21,11 @@ def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     assert code == 0, err
     found = json.loads(out)
     assert found["joints"]
-    assert {"action (joint)", "action (cartesian)", "parameters", "settings", "tool"} <= set(found)
+    actions = {f"action ({mode})" for mode in ("joint", "cartesian", "pose", "impedance")}
+    assert {*actions, "parameters", "settings", "tool", "flange", "gripper"} <= set(found)
+    (steps, *_), speeds = found["action (joint)"], [row["speed_rad_s"] for row in found["joints"]]
+    told = [float(word) for word in steps["an action of 1, in 1/24 s"].split()[: len(speeds)]]
+    assert told == pytest.approx([min(0.5, speed / 24) for speed in speeds], abs=1e-3)
     assert Image.open(target).size == (32, 24)
 
 

@@ -71,3 +71,16 @@ def test_a_wrong_choice_is_told_without_the_class_of_the_error(monkeypatch: pyte
     monkeypatch.setenv("COLUMNS", "200")
     said = call(app, "play", "x", "--checkpoint", "bst", exit_code=2).stderr
     assert "Invalid value for '--checkpoint': 'bst' is not one of 'best', 'last'." in said
+
+
+@pytest.mark.parametrize(("module", "last"), [("karolos_cli", "typer"), ("karolos.launchers.process", "pydantic")])
+def test_ctrl_c_while_libraries_are_imported_is_one_line(module: str, last: str) -> None:
+    code = (
+        "import builtins, runpy, signal\nreal = builtins.__import__\n"
+        "def hook(name, *more, **named):\n"
+        f"    if name == {last!r}: signal.raise_signal(signal.SIGINT)\n"
+        f"    return real(name, *more, **named)\nbuiltins.__import__ = hook\n"
+        f"runpy.run_module({module!r}, run_name='__main__')"
+    )
+    ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr) == (130, "interrupted\n")

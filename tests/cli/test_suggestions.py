@@ -9,6 +9,7 @@ from karolos_cli.main import app
 from support.commands import call
 from support.run_commands import add_run
 from support.sweep_samples import some_trial, write_sweep
+from typer.testing import CliRunner
 
 from karolos.store import Store
 
@@ -43,3 +44,32 @@ def test_closest_value_is_suggested(command: str, suggestion: str) -> None:
     assert code == 2
     assert suggestion in err, err
     assert out == ""
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ("run panda_reach_p", "panda_reach_pose panda_reach_ppo"),
+        ("run my", "my.yaml my/other.yml"),
+        ("play rea", "reach RUN"),
+        ("play panda_thr", "panda_throw"),
+        ("play --expert panda_reach_p", "panda_reach_pose panda_reach_ppo"),
+        ("run x agent=s", "agent=sac"),
+        ("run x agent = s", "sac"),
+        ("run x agent =", "ddpg dqn ppo sac td3"),
+        ("plugins show agents t", "td3"),
+        ("inspect task reach_", "reach_pose"),
+        ("sweeps show g", "grid"),
+        ("runs tag x go", "good"),
+    ],
+)
+def test_tab_completes(runs: Path, monkeypatch: pytest.MonkeyPatch, words: str, found: str) -> None:
+    monkeypatch.chdir(runs)
+    for path in (Path("my.yaml"), Path("my/other.yml")):
+        path.parent.mkdir(exist_ok=True)
+        path.touch()
+    (run,) = (path.parent.name for path in runs.glob("*/run.json"))
+    (runs / run / "labels.json").write_text('{"tags": ["good"]}')
+    place = {"COMP_WORDS": f"karolos {words}", "COMP_CWORD": str(len(words.split()))}
+    shown = CliRunner().invoke(app, [], env={"_KAROLOS_COMPLETE": "complete_bash", **place}, prog_name="karolos")
+    assert shown.stdout.split() == found.replace("RUN", run).split()

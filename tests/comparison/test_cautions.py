@@ -1,11 +1,12 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from support.compared_runs import SPEC, contender, run
 
-from karolos.comparison import Contender, compare
+from karolos.comparison import Contender, compare, one_per_seed, repeated
 from karolos.comparison.cautions import cautions
 
 A = contender("a", [[50], [60]])
@@ -59,3 +60,15 @@ def test_versions_count_where_they_are_known_and_that_of_an_engine_where_it_was_
 def test_unequal_numbers_of_seeds_are_told_in_every_row() -> None:
     rows = compare([A, contender("b", [[50]])]).rows()
     assert [row["warnings"] for row in rows] == [["unequal numbers of seeds: a 2; b 1"]] * 2
+
+
+def test_runs_of_edited_plugins_are_not_averaged_with_later_ones_and_are_named() -> None:
+    made = [("a", None), ("b", "old"), ("c", "new"), ("d", "new"), ("e", "old")]
+    runs = [
+        run(seed, [50], run=name, source=source, created=f"2026-01-0{min(seed, 2)}").summary
+        for seed, (name, source) in enumerate(made)
+    ]
+    runs[4] = replace(runs[4], created="2025")
+    assert [one.run for one in one_per_seed(runs).values()] == ["a", "c", "d"]
+    (warning,) = repeated("mine", runs)
+    assert warning.endswith(": b, e")

@@ -28,20 +28,27 @@ def test_missing_key_is_told_from_null() -> None:
     assert differences([{"a": {"b": None, "c": 1}}, {"a": {"c": 1}}]) == {"a.b": (None, MISSING)}
 
 
-def test_changed_block_is_one_row() -> None:
-    assert differences([{"robot": {"name": "ur5", "base": 0}, "x": 1}, {"robot": None, "x": 1}]) == {
-        "robot": ({"name": "ur5", "base": 0}, None)
+def test_each_key_of_a_block_that_a_side_lacks_is_a_row() -> None:
+    assert differences([{"robot": {"name": "ur5", "base": {"x": 0}}, "x": 1}, {"robot": None, "x": 1}]) == {
+        "robot": (MISSING, None),
+        "robot.name": ("ur5", MISSING),
+        "robot.base.x": (0, MISSING),
     }
-    assert differences([{}, {"noise": {"kind": "a", "theta": 1}}]) == {"noise": (MISSING, {"kind": "a", "theta": 1})}
+    assert differences([{}, {"noise": {"kind": "a"}}, {"noise": {}}]) == {
+        "noise": (MISSING, MISSING, {}),
+        "noise.kind": (MISSING, "a", MISSING),
+    }
 
 
-def test_settings_of_another_plugin_are_one_row_and_shared_ones_their_own() -> None:
+def test_settings_of_another_plugin_are_rows_beside_those_of_the_same_part() -> None:
     one = {"agent": {"name": "sac", "rate": 1, "tau": 1}, "buffer": {"a": {"b": 1}}}
     other = {"agent": {"name": "ppo", "rate": 2, "clip": 1, "epochs": 3}, "buffer": {"a": {"b": 2}}}
     assert list(differences([one, other]).items()) == [
-        ("agent", ({"tau": 1}, {"clip": 1, "epochs": 3})),
         ("agent.name", ("sac", "ppo")),
         ("agent.rate", (1, 2)),
+        ("agent.tau", (1, MISSING)),
+        ("agent.clip", (MISSING, 1)),
+        ("agent.epochs", (MISSING, 3)),
         ("buffer.a.b", (1, 2)),
     ]
 
@@ -51,7 +58,9 @@ MORE = "diff --git a/y.py b/y.py\n--- a/y.py\n+++ b/y.py\n@@ -1 +1 @@\n-a\n+b\n"
 
 
 def side(name: str = "one", **values: object) -> Side:
-    return Side(**{"name": name, "spec": {}, "versions": {}, "seed": 0, "commit": "abc", "patch": ""} | values)  # type: ignore[arg-type]
+    return Side(
+        **{"name": name, "spec": {}, "versions": {}, "sources": {}, "seed": 0, "commit": "abc", "patch": ""} | values
+    )  # type: ignore[arg-type]
 
 
 def found(one: Side, other: Side) -> list[tuple[object, ...]]:

@@ -94,7 +94,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def look_again() -> None:
     """Forget which plugins are installed, and their versions, which a run records and its worker compares."""
-    for cached in (registry._installed, provenance.versions, provenance.source):
+    for cached in (registry._scan, provenance.versions):
         cached.cache_clear()
 
 

@@ -65,6 +65,7 @@ def test_measures_are_numbers_of_the_last_info() -> None:
 
 
 def test_own_limit_of_steps_truncates() -> None:
+    assert make(id="support.faulty_environments:Limited-v0").signature.max_steps == 4
     steps = play(make(id="Pendulum-v1", max_steps=7), 0, [0.0])
     assert len(steps) == 8
     assert steps[-1].truncated
@@ -105,6 +106,8 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": POINT, "goals": True, "kwargs": {"fault": "one goal"}}, "environment.goals"),
         ({"id": POINT, "goals": True, "kwargs": {"dense": True}}, "environment.success_reward"),
         ({"id": POINT, "goals": True, "success_reward": -2}, "environment.success_reward"),
+        ({"id": "karolos.gym:karolos/PandaReach-v1", "goals": True, "max_steps": 60}, "environment.max_steps"),
+        ({"id": "support.faulty_environments:Limited-v0", "max_steps": 11}, "environment.max_steps"),
     ],
 )
 def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, Any], where: str) -> None:
@@ -227,8 +230,9 @@ def test_settings_that_exclude_each_other_are_refused() -> None:
         {"goals": True, "flatten_goals": True},
         {"goals": True, "success_return": 1},
         {"success_reward": 1},
+        {"kwargs": {"max_episode_steps": 3}},
     ):
-        with pytest.raises(ValueError, match="goals"):
+        with pytest.raises(ValueError, match=r"goals|set max_steps"):
             Gymnasium.Settings(id=POINT, **settings)
 
 

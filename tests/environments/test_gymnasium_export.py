@@ -80,6 +80,16 @@ def test_the_spec_says_how_many_steps_an_episode_has() -> None:
     assert gymnasium.make(environment.spec).spec.max_episode_steps == 7
 
 
+def test_a_limit_of_steps_from_outside_holds_or_is_refused() -> None:
+    shorter = gymnasium.make("karolos/PandaReach-v1", max_episode_steps=2)
+    shorter.reset(seed=0)
+    assert [shorter.step(shorter.action_space.sample())[3] for _ in range(2)] == [False, True]
+    longer = gymnasium.make("karolos/PandaReach-v1", max_episode_steps=60)
+    for environment in (longer, gymnasium.wrappers.TimeLimit(gymnasium.make("karolos/PandaReach-v1"), 60)):
+        with pytest.raises(UsageError, match="60 steps has no effect: episodes end after 50; give max_steps=60"):
+            environment.reset()
+
+
 def test_a_film_has_the_control_rate() -> None:
     assert gymnasium.make("karolos/PandaReach-v1").metadata["render_fps"] == 24
     assert gymnasium.make("karolos/PandaReach-v1", substeps=5).metadata["render_fps"] == 48

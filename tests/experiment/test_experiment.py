@@ -156,17 +156,25 @@ def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, t
     assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
 
 
-def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
-    def press_ctrl_c(event):
-        if isinstance(event, RunTested):
-            signal.raise_signal(signal.SIGINT)
+def press_ctrl_c(event):
+    if isinstance(event, RunTested):
+        signal.raise_signal(signal.SIGINT)
 
-    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c)
+
+def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c, check=False)
     (run,) = outcome.runs
     assert (run.state, run.steps, outcome.exit_code) == ("stopped", 100, 130)
     (folder,) = folders(outcome)
     assert weights(folder)[1]["steps"] == 100
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+def test_one_ctrl_c_ends_a_script_that_runs_several_experiments(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        Experiment(spec()).run(tmp_path, listener=press_ctrl_c)
+    with Store(Store.default_url(tmp_path)) as store:
+        assert [(run.state, run.steps) for run in store.runs()] == [("stopped", 100)]
 
 
 def test_a_second_interrupt_ends_at_once_and_the_run_is_stopped(tmp_path):
@@ -226,7 +234,7 @@ def test_a_reward_that_is_not_a_number_stops_the_run_and_names_the_environment(t
     def broken(self, action):
         taken.append(self)
         found = step(self, action)
-        return found._replace(reward=float("nan")) if len(taken) == 30 else found
+        return found._replace(reward=float("nan")) if len(taken) == 33 else found  # three are those of the check
 
     monkeypatch.setattr(Toy, "step", broken)
     one = {"name": "local", "processes": 0, "environments": 2}

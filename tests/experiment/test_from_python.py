@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 import subprocess
 import sys
@@ -70,6 +71,9 @@ def test_rows_are_a_data_frame_where_pandas_is_installed(folder: Path) -> None:
 def test_a_loaded_policy_acts_on_one_and_on_many(folder: Path) -> None:
     for run in ("@last", karolos.runs(runs=folder)[0].folder):
         policy = karolos.load(run, runs=folder)
+        about, shape = str(policy).splitlines()
+        assert re.fullmatch(r".* after [\d,]+ steps: success \d\.\d\d in \d+ test episodes", about)
+        assert re.fullmatch(r".*: observation \d+, goal \d+ -> action \d+", shape)
         sizes = policy.signature.observation.size, policy.signature.desired_goal.size
         one = policy.act([0.1] * sizes[0], [0.2] * sizes[1])
         many = policy.act(np.full((3, sizes[0]), 0.1), np.full((3, sizes[1]), 0.2))

@@ -117,11 +117,18 @@ def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(
     assert_same_runs(alone, folder)
 
 
-def test_a_process_that_hangs_costs_nothing(
+def test_a_process_that_hangs_costs_nothing_and_training_waits_for_the_tests(
     alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    after_add(monkeypatch, hang)
+    waiting = []
+
+    def look(tests: PendingTests) -> None:
+        hang(tests)
+        waiting.append([test.steps for test in tests.pending if not tests._is_over(test)])
+
+    after_add(monkeypatch, look)
     assert_same_runs(alone, run(tmp_path))
+    assert waiting == [[], [80], [120], [160], [200], [240]]
     assert not beside
     assert not second_processes()
 
@@ -157,12 +164,15 @@ def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
         if tests.pending[-1].steps == 240:
             signal.raise_signal(signal.SIGTERM)
 
-    monkeypatch.setattr(pending_tests, "MAX_PENDING", 6)
-    after_add(monkeypatch, stop_at_the_end)
-    stopped = run(tmp_path)
+    with monkeypatch.context() as patch:
+        patch.setattr(PendingTests, "_waiting", lambda _: 0)
+        after_add(patch, stop_at_the_end)
+        stopped = run(tmp_path)
     assert stopped.state().state == "stopped"
     pending = checkpoint.load(stopped.checkpoints, "last")[0]["run"]["tests"]
     assert [test["steps"] for test in pending] == [40, 80, 120, 160, 200, 240]
+    (told,) = [event["error"] for event in stopped.events() if event["event"] == "warning"]
+    assert told == "no test was played after 40, 80, 120, 160, 200, 240 steps, where it is due"
     assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 

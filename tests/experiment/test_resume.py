@@ -16,13 +16,14 @@ from support.states import assert_same_runs
 from support.store_samples import stored
 
 from karolos import checkpoint
-from karolos.errors import MachineError, RunError
+from karolos.errors import MachineError, RunError, UsageError
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
 from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, provenance
+from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -70,6 +71,15 @@ def stopping_at(steps: int):
 def only(outcome: Any) -> RunFolder:
     (run,) = outcome.runs
     return RunFolder.open(run.folder)
+
+
+def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = RunFolder.create(tmp_path, "toy", 0)
+    spec = spec_from_dict(USUAL)
+    monkeypatch.setattr(Spec, "files", lambda _: {"task.part": "2"})
+    folder.describe(spec.dump(), experiment=spec.hash(), files={"task.part": "1"})
+    with pytest.raises(RunError, match=r"the file of task\.part, or one that it names, was changed or is missing; put"):
+        run_or_resume(folder, None, lambda _: None, StopRequest(), beside=False)
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -346,3 +356,24 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
     assert outcome.runs[0].state == "stopped"
     assert checkpoint.read_meta(folder.checkpoints, "last")["steps"] == outcome.runs[0].steps
     assert folder.events()[-1]["reason"] == "time limit"
+
+
+@pytest.mark.parametrize("case", ["sac, priority, hindsight", "ppo"])
+def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case: str, tmp_path: Path) -> None:
+    spec = BASE | CASES[case]
+    longer = spec | {"training": spec["training"] | {"steps": 400}}
+    whole, short = only(Experiment(longer).run(tmp_path / "whole")), only(Experiment(spec).run(tmp_path))
+    before = {path: path.read_bytes() for path in short.path.rglob("*") if path.is_file()}
+    url = Store.default_url(tmp_path)
+    more = only(resume_run(short, url, ["training.steps=400"]))
+    assert before == {path: path.read_bytes() for path in short.path.rglob("*") if path.is_file()}
+    for part in ("agent", "buffer"):
+        assert checkpoint.digest(more.checkpoints, "last", part) == checkpoint.digest(whole.checkpoints, "last", part)
+    about = more.description()
+    assert about["continued_from"] == {"run": short.id, "steps": 240}
+    assert about["experiment"] not in (short.description()["experiment"], whole.description()["experiment"])
+    assert [test.steps for test in more.tests()] == [100, 200, 240, 300, 400]
+    assert only(resume_run(short, url, ["training.steps=400"])).id == more.id
+    for override, words in (("agent.hidden=[8]", "settings that it began with"), ("training.steps=240", "has taken")):
+        with pytest.raises(UsageError, match=words):
+            resume_run(short, url, [override])

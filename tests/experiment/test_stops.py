@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import threading
+import time
 from pathlib import Path
 from typing import Any
 
+import pytest
 from support.states import assert_same_runs
 
 from karolos import checkpoint
-from karolos.experiment.events import RunBusy, RunStarted, RunWarned
+from karolos.experiment import announcer
+from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import stop_on_signals
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
+from karolos.store import Store
 
 REACH: dict[str, Any] = {
     "name": "reach",
@@ -76,11 +82,68 @@ def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
     assert outcome.runs[0].state == "stopped"
 
 
-def test_sighup_that_nohup_ignores_stays_ignored() -> None:
-    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+@pytest.mark.parametrize("ignored", [signal.SIGHUP, signal.SIGINT])
+def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal.Signals) -> None:
+    before = signal.signal(ignored, signal.SIG_IGN)
     try:
         with stop_on_signals() as stop:
-            signal.raise_signal(signal.SIGHUP)
+            signal.raise_signal(ignored)
         assert not stop.requested
     finally:
-        signal.signal(signal.SIGHUP, before)
+        signal.signal(ignored, before)
+
+
+def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(announcer, "WRITE_SECONDS", 0.0)
+    monkeypatch.setattr(announcer, "ADVANCE_SECONDS", 0.0)
+    steps: list[tuple[int, int]] = []
+
+    def look(event: object) -> None:
+        if isinstance(event, RunAdvanced):
+            with Store(Store.default_url(tmp_path)) as store:
+                steps.append((event.steps, store.runs()[0].steps))
+
+    run(tmp_path, listener=look)
+    listed = dict(steps)
+    assert listed[40] == 38  # written after the round before
+
+
+@pytest.mark.parametrize(
+    "phase",
+    [
+        "launchers.experiment.check_parts",
+        "experiment.run.make_orchestrator",
+        "experiment.run.collect_demonstrations",
+        "evaluation.due_tests.make_orchestrator",
+        "experiment.run.newest_snapshot",
+        "experiment.run.Checkpointer.restore",
+    ],
+)
+def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
+    phase: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    resumes = phase.rpartition(".")[2] in ("newest_snapshot", "restore")
+    if resumes:
+        Experiment(REACH).run(tmp_path, listener=lambda event: isinstance(event, RunTested) and terminate())
+
+    def long(*_: object, **__: object) -> None:
+        begun.append(time.monotonic())
+        threading.Timer(0.1, terminate).start()
+        time.sleep(20)
+
+    begun: list[float] = []
+    with monkeypatch.context() as patch:
+        patch.setattr(f"karolos.{phase}", long)
+        outcome = Experiment(REACH).run(tmp_path, existing="resume")
+    assert time.monotonic() - begun[0] < 10
+    assert outcome.exit_code == 143
+    assert all(run.state == "stopped" for run in outcome.runs)
+    resumed = run(tmp_path, existing="resume")
+    assert resumed.state().state == "finished"
+    assert [test.steps for test in resumed.tests()] == [60]
+
+
+def terminate() -> None:
+    os.kill(os.getpid(), signal.SIGTERM)

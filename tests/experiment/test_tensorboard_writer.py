@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 from support.toy_runs import toy
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
 from karolos.experiment.events import RunTested
 from karolos.launchers.experiment import Experiment
@@ -64,3 +65,10 @@ def test_between_two_tests_there_are_ten_points(folder: RunFolder) -> None:
     steps = [step for step, _ in points(folder, "buffer/transitions")]
     assert sum(100 < step <= 200 for step in steps) == 10
     assert points(folder, "buffer/transitions")[-1] == (240, 240)
+
+
+def test_settings_are_written_once_for_hparams(folder: RunFolder) -> None:
+    content = series(folder).SummaryMetadata("_hparams_/session_start_info").plugin_data.content
+    settings = HParamsPluginData.FromString(content).session_start_info.hparams
+    assert settings["agent.name"].string_value == "sac"
+    assert settings["training.steps"].number_value == 240

@@ -177,12 +177,12 @@ def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
 
 def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: Path) -> None:
     folder = new_run(tmp_path)
-    launch = {"versions": provenance.versions(), "source": provenance.source()}
+    launch = provenance.software()
     write_json(folder.launch, launch | {"versions": launch["versions"] | {"torch": "1.0"}})
     assert "torch is " in (problem := str(execute_folder(folder.path, 1)))
     assert "1.0 there" in problem
-    write_json(folder.launch, launch | {"source": "0"})
-    assert "the source of karolos or a plugin is another one" in str(execute_folder(folder.path, 1))
+    write_json(folder.launch, launch | {"sources": {"karolos": "0"}})
+    assert "the source of karolos is another one" in str(execute_folder(folder.path, 1))
     write_json(folder.launch, launch)
     assert execute_folder(folder.path, 1) is None
     assert json.loads(folder.launch.read_text())["host"] == platform.node()

@@ -206,12 +206,13 @@ def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installe
         assert told in err
 
 
-def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed: Installer) -> None:
-    spec = installed("fit")
-    code, out, _ = call(command(check_spec), str(spec))
+@pytest.mark.parametrize("method", ["fit", "build", "reset", "observe"])
+def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed: Installer, method: str) -> None:
+    spec = installed(method)
+    code, out, _ = call(command(check_spec), str(spec), "orchestrator.processes=0")
     assert (code, out.count("\n")) == (3, 1)
     assert out.startswith(f"{spec}:2:7: task.name: /")
-    assert "/broken_fit.py:9: task 'broken_fit' of shaky 1.0: AttributeError: 'Broken' object" in out
+    assert f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object" in out
 
 
 def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed: Installer) -> None:

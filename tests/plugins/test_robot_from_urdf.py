@@ -17,6 +17,7 @@ from support.fourth_robot import TOOL, WIDTH, exported_arm
 from karolos.errors import PluginError
 from karolos.plugins.proposal import propose, with_meshes
 from karolos.plugins.starter import write_starter
+from karolos.robots.arm import Arm, ArmSettings
 
 
 def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path: Path) -> None:
@@ -124,6 +125,39 @@ def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
     assert found.model.tool == (0, 0, TOOL)
     with pytest.raises(PluginError, match="there is no link 'tool7'; links: world, base"):
         propose(path, "tool7")
+
+
+def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    upright = '<child link="base"/><origin xyz="0 0 0"/>'
+    text = path.read_text()
+    assert upright in text
+    path.write_text(text.replace(upright, '<child link="base"/><origin xyz="0 0 1" rpy="3.14159265 0 0"/>'))
+    model = propose(path).model
+    type("Mine", (Arm,), {"model": model, "Settings": ArmSettings})(ArmSettings())  # refuses a home outside
+
+
+def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(tmp_path: Path) -> None:
+    path = exported_arm(tmp_path).model.urdf
+    text = path.read_text()
+    for old, new in {
+        'lower="-3.0" upper="3.0" effort="60" velocity="2.5"': 'lower="-166" upper="166" effort="60" velocity="10"',
+        'ixx="0.0024" iyy="0.0024" izz="0.0024"': 'ixx="1e4" iyy="1e4" izz="1e4"',
+        '<mass value="0.4"/>': '<mass value="800"/>',
+        "</robot>": '<link name="flange"/><joint name="f" type="fixed"><parent link="link6"/>'
+        '<child link="flange"/></joint></robot>',
+    }.items():
+        assert old in text
+        text = text.replace(old, new)
+    path.write_text(text)
+    notes = propose(path).notes
+    assert [note for note in notes if note.startswith("doubted: ")] == [
+        "doubted: joint joint3: to 166 rad; are these degrees?",
+        "doubted: joint joint3: at 10 rad/s; compare the data sheet",
+        "doubted: link link3: moments from 1e+04 to 1e+04 kg m2 at 1.2 kg; compare the CAD",
+        "doubted: link link5: 800 kg; are these grams?",
+    ]
+    assert "; not flange, which --tool LINK chooses" in next(note for note in notes if "the frame tool0" in note)
 
 
 @pytest.mark.parametrize(

@@ -69,6 +69,27 @@ def test_checkpoints_can_be_left_out(run: RunFolder, tmp_path: Path) -> None:
     assert came.tests == run.record().tests
 
 
+def test_an_archive_without_source_tells_no_code_command_path_or_name_and_none_tells_a_secret(
+    run: RunFolder, tmp_path: Path
+) -> None:
+    (run.path / "code.diff").write_text("+x\n")
+    about = json.loads((run.path / "run.json").read_text())
+    git = {"commit": "a", "dirty": True, "untracked": ["love_letter"]}
+    about |= {"command": ["run", "/home/me/s.yaml", "--url=x?password=geheim"], "git": git}
+    (run.path / "run.json").write_text(json.dumps(about))
+    with run:
+        run.event("failed", error="token=geheim in /home/me/x.py", traceback="File /home/me/x.py")
+    export_runs([run], tmp_path / "x.tar.gz")
+    import_runs(tmp_path / "x.tar.gz", tmp_path / "with")
+    told = b"".join(contents(tmp_path / "with").values())
+    assert [word in told for word in (b"geheim", b"love_letter", b"/home/me", b"+x")] == [False, True, True, True]
+    export_runs([run], tmp_path / "y.tar.gz", source=False)
+    (came,) = import_runs(tmp_path / "y.tar.gz", tmp_path / "without")
+    assert came.problems == ()
+    told = b"".join(contents(tmp_path / "without").values())
+    assert not [word for word in (b"geheim", b"love_letter", b"/home/me", b"+x") if word in told]
+
+
 def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFolder, tmp_path: Path) -> None:
     place = tmp_path / "out"
     place.mkdir()

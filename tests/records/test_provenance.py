@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from importlib import metadata
@@ -7,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from karolos.errors import recorded
+from karolos.files import fingerprint
 from karolos.records import provenance
 
 
@@ -35,11 +38,16 @@ def test_clean_work_tree_has_a_commit_and_no_diff(work_tree: Path) -> None:
 def test_changes_are_kept_as_a_diff_and_new_files_are_named(work_tree: Path) -> None:
     (work_tree / "robot.py").write_text("speed = 2\nurl = 'https://me:secret@example.org'\n")
     (work_tree / "new file.py").write_text("")
+    for name in (".env", "deploy.PEM", "home/.ssh/config", "my_credentials.yaml"):
+        (work_tree / name).parent.mkdir(parents=True, exist_ok=True)
+        (work_tree / name).write_text("1")
+        git(work_tree, "add", name)
     code = provenance.code(work_tree)
     assert code is not None
     assert code.dirty
     assert "+speed = 2" in code.diff
     assert "secret" not in code.diff
+    assert code.diff.count("diff --git") == 1, "files of secrets are left out"
     assert code.untracked == ("new file.py",)
 
 
@@ -74,6 +82,53 @@ def test_machine_without_git_has_no_code(work_tree: Path, monkeypatch: pytest.Mo
     assert provenance.code(work_tree) is None
 
 
+FILES = {
+    "arm.urdf": '<robot><mesh filename="package://arm/meshes/a.stl"/></robot>',
+    "door.xml": "<mujoco><compiler meshdir='meshes'/><mesh file='b.stl'/></mujoco>",
+    "mine.py": "import helper\nPART = 'meshes/c.stl'\n",
+    "helper.py": "x = 1\n",
+    "meshes/a.stl": "a",
+    "meshes/b.stl": "b",
+    "meshes/c.stl": "c",
+}
+
+
+@pytest.mark.parametrize(
+    ("top", "reads"),
+    [
+        ("arm.urdf", "arm.urdf meshes/a.stl"),
+        ("door.xml", "door.xml meshes/b.stl"),
+        ("mine.py", "mine.py helper.py meshes/c.stl"),
+        ("meshes", "meshes/a.stl meshes/b.stl meshes/c.stl"),
+    ],
+)
+def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(
+    tmp_path: Path, top: str, reads: str
+) -> None:
+    (tmp_path / "meshes").mkdir()
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    before = fingerprint(tmp_path / top)
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text + " ")
+        assert (fingerprint(tmp_path / top) != before) == (name in reads.split()), name
+        (tmp_path / name).write_text(text)
+    assert fingerprint(tmp_path / top) == before
+    assert fingerprint(tmp_path / "missing") is None
+
+
+def test_disorder_in_a_package_ends_nothing_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = tmp_path / "untidy_package"
+    (package / "old.py").mkdir(parents=True)
+    for link, target in ((".#m.py", "me@host.1:2"), ("gone.stl", "nowhere"), ("loop", ".")):
+        (package / link).symlink_to(target)
+    os.mkfifo(package / "pipe.py")
+    monkeypatch.syspath_prepend(tmp_path)
+    unread: list[str] = []
+    assert set(provenance.sources(["untidy_package", "nowhere", "__main__"], unread)) >= {"karolos", "untidy_package"}
+    assert [line.split(": ")[:2] for line in unread] == [["untidy_package", name] for name in ("gone.stl", "pipe.py")]
+
+
 def test_versions_name_python_and_every_dependency() -> None:
     versions = provenance.versions()
     assert versions["python"] == sys.version.split()[0]
@@ -83,9 +138,10 @@ def test_versions_name_python_and_every_dependency() -> None:
 
 
 def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPatch) -> None:
-    arguments = ["/home/me/bin/karolos", "run", "s.yaml", "--database=postgresql://me:pass@host/db"]
-    monkeypatch.setattr(sys, "argv", arguments)
-    assert provenance.command_line() == ["karolos", "run", "s.yaml", "--database=postgresql://***@host/db"]
+    given = ["--database=postgresql://me:pass@host/db?password=x", "agent.api_key=x", "--token", "x", "/home/me/s.yaml"]
+    monkeypatch.setattr(sys, "argv", ["/home/me/bin/karolos", "run", *given])
+    told = ["--database=postgresql://***@host/db?password=***", "agent.api_key=***", "--token", "***", ".../s.yaml"]
+    assert provenance.command_line() == ["karolos", "run", *told]
 
 
 @pytest.mark.parametrize(
@@ -95,8 +151,15 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
         ("https://host/path?a=b@c", "https://host/path?a=b@c"),
         ("postgresql://me:p/ss@host/db", "postgresql://***@host/db"),
         ("https://token@host/x.git and https://host:80/x", "https://***@host/x.git and https://host:80/x"),
+        ("postgresql://host/db?user=a&password=b&ssl=1", "postgresql://host/db?user=a&password=***&ssl=1"),
+        ("host=x password=y", "host=x password=***"),
+        ('"apiKey": "x y"', '"apiKey": ***'),
+        ("Authorization: Bearer x", "Authorization: Bearer ***"),
+        ("x = 'ghp_0123456789abcdef'", "x = '***'"),
+        ("-----BEGIN PRIVATE KEY-----\nx\n", "***"),
+        ("token: str | None = None; passes=2; token = find(x)", "token: str | None = None; passes=2; token = find(x)"),
         ("nothing", "nothing"),
     ],
 )
-def test_redaction_hides_credentials_only(text: str, expected: str) -> None:
-    assert provenance.redact(text) == expected
+def test_redaction_hides_secrets_only(text: str, expected: str) -> None:
+    assert recorded({"what": [text], "secret": text}) == {"what": [expected], "secret": "***"}

@@ -10,22 +10,35 @@ from matplotlib.collections import QuadMesh
 from support.compared_runs import CURVES, contender, run
 
 from karolos.comparison import Comparison, Contender, compare
-from karolos.errors import MachineError
+from karolos.errors import MachineError, UsageError
 from karolos.report import comparison_figures as figures
 from karolos.report.comparison_tables import verdict
 from karolos.report.figures import COLOURS, Drawing, short, write_figures
 
-NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density_1"]
+NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density__x_1_b_"]
 
 
 def comparison() -> Comparison:
     return compare([contender("$x_1 <b>&$", CURVES), contender("two", CURVES[:1])], "any")
 
 
+def drawn(compared: Comparison, *chosen: str) -> list[Drawing]:
+    return [one for drawings in figures.comparison_figures(compared, chosen).values() for one in drawings]
+
+
 def artists(drawing: Drawing, classes: str) -> list[Any]:
     """The artists that have exactly these class names."""
     gids = {gid for gid, (found, _) in drawing.parts.items() if found == classes}
     return [artist for artist in drawing.axes.get_children() if artist.get_gid() in gids]
+
+
+def test_of_thousands_of_seeds_some_lines_are_drawn_and_the_caption_says_so() -> None:
+    found = compare([contender("many", [[k % 90, 90] for k in range(1000)])])
+    curves, dots = figures.learning(found, "steps"), figures.final(found)
+    assert sum("seed series" in classes for classes, _ in curves.parts.values()) == figures.MOST_APART
+    assert "One line for 5 of the 1,000 seeds" in curves.caption
+    assert len(dots.parts) < 10
+    assert sum(len(line.get_xdata()) for line in dots.axes.lines) > 1000
 
 
 @pytest.mark.parametrize("axis", ["steps", "seconds"])
@@ -67,7 +80,7 @@ def test_final_success_shows_each_seed_by_its_run() -> None:
 
 
 @pytest.mark.parametrize(
-    ("successes", "low", "high"), [((994, 999), 0.98, 1.01), ((0, 90), -0.01, 0.12), ((0, 990), -0.03, 1.03)]
+    ("successes", "low", "high"), [((994, 999), 0.98, 1), ((998, 1000), 0.98, 1), ((0, 90), 0, 0.12), ((0, 990), 0, 1)]
 )
 def test_axes_of_ratios_show_what_is_there_and_say_so(successes: tuple[int, int], low: float, high: float) -> None:
     compared = compare(
@@ -91,7 +104,7 @@ def test_verdict_names_the_best_and_who_differs_from_the_first() -> None:
 
 def test_returns_are_drawn_on_their_own_axis() -> None:
     compared = compare([contender("a", CURVES), contender("b", CURVES[:1])], "return")
-    drawings = figures.comparison_figures(compared)
+    drawings = drawn(compared)
     assert [drawing.name for drawing in drawings] == [name.replace("success", "return") for name in NAMES[:4]]
     assert drawings[0].axes.get_ylabel() == "mean return of an episode"
     assert drawings[0].axes.get_ylim()[0] < -150
@@ -105,11 +118,20 @@ def test_a_return_that_is_not_finite_is_not_drawn() -> None:
         drawing = figures.final(compare([runs], "return"))
         assert len(artists(drawing, "dot series-0")) == len(runs.runs)
         assert "<svg" in drawing.svg()
+        assert len(drawn(compare([runs], "return"))) == 2 * len(runs.runs)  # no empty axes
+
+
+def test_figures_are_chosen_by_kind_or_name_and_named_by_experiment() -> None:
+    compared = compare([contender(name, CURVES) for name in ("a b", "a/b", "c")], "any")
+    names = [one.name for one in drawn(compared, "densities", "final_success")]
+    assert names == ["final_success", "density_a_b_1", "density_a_b_2", "density_c"]
+    with pytest.raises(UsageError, match="there is no figure 'final_sucess'; did you mean 'final_success'"):
+        drawn(compared, "final_sucess")
 
 
 def test_single_test_at_step_zero_can_be_drawn() -> None:
     runs = (run(0, [50], interval=0), run(1, [60], interval=0))
-    for drawing in figures.comparison_figures(compare([Contender("a", runs)], "any")):
+    for drawing in drawn(compare([Contender("a", runs)], "any")):
         low, high = drawing.axes.get_xlim()
         assert low < high
         assert "<svg" in drawing.svg()
@@ -117,8 +139,7 @@ def test_single_test_at_step_zero_can_be_drawn() -> None:
 
 def test_every_figure_is_written_in_every_format_and_the_same_each_time(tmp_path: Path) -> None:
     written, again = (
-        write_figures(figures.comparison_figures(comparison())[:count], tmp_path / "new" / str(count))
-        for count in (len(NAMES), 2)
+        write_figures(drawn(comparison())[:count], tmp_path / "new" / str(count)) for count in (len(NAMES), 2)
     )
     assert [path.name for path in written] == [f"{name}.{end}" for name in NAMES for end in ("svg", "pdf", "png")]
     assert [path.read_bytes() for path in written[: len(again)]] == [path.read_bytes() for path in again]

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
+from numpy.typing import NDArray
 from support.prisms import L, block_with_hole, prism
 from support.rig import ENGINES
 
 from karolos.errors import MachineError, PluginError, UsageError
-from karolos.simulation import fixtures, meshes
+from karolos.simulation import fixtures, meshes, urdf
 from karolos.simulation.engines import Engine, make_world
 from karolos.simulation.geometry import matrix_of
 from karolos.simulation.parts import Link, Mechanism, mechanism
@@ -58,6 +60,109 @@ def test_what_a_convex_hull_fills_is_said(tmp_path: Path, corner: Path) -> None:
         warnings.simplefilter("error")
         Mesh(box, 0.001)
         Mesh(corner, 0.001, collision="convex")
+
+
+def box(*place: float, size: tuple[float, ...] = (10, 10, 10)) -> NDArray[np.float32]:
+    """The triangles of a box."""
+    made: NDArray[np.float32] = (trimesh.creation.box(size).triangles + np.array(place)).astype(np.float32)
+    return made
+
+
+ONE = box(0, 0, 0)
+BODIES = {
+    "two that touch with all of a face": ([ONE, box(10, 0, 0)], 2000, 5, ""),
+    "two that touch with a part of a face": ([ONE, box(8, 0, 0, size=(6, 6, 6))], 1216, 1.421, ""),
+    "two that touch with an edge": ([ONE, box(10, 10, 0)], 2000, 5, ""),
+    "inside out": ([ONE[:, ::-1]], 1000, 0, ""),
+    "a triangle turned": ([ONE[:5], ONE[5:6, ::-1], ONE[6:]], 1000, 0, ""),
+    "one of two inside out": ([ONE, box(30, 0, 0)[:, ::-1]], 2000, 15, ""),
+    "a hollow": ([ONE, box(0, 0, 0, size=(6, 6, 6))[:, ::-1]], 784, 0, ""),
+    "a triangle without an area": ([ONE, ONE[:1, [0, 0, 1]]], 1000, 0, ""),
+    "one in another": ([ONE, box(0, 0, 0, size=(6, 6, 6))], 1000, 0, "overlap"),
+    "one twice": ([ONE, ONE], 1000, 0, "overlap"),
+    "two that overlap": ([ONE, box(1, 0, 0)], 1100, 0.5, "overlap"),
+    "a cross": ([box(0, 0, 0, size=(100, 4, 4)), box(0, 0, 0, size=(4, 100, 4))], 21568, 0, "overlap"),
+    "open": ([ONE[2:]], 1000, 0, "an open surface"),
+}
+
+
+@pytest.mark.parametrize(("parts", "volume", "centre", "flaw"), BODIES.values(), ids=BODIES)
+def test_bodies_of_a_file_weigh_what_they_enclose_or_say_that_they_weigh_as_their_hull(
+    parts: list[NDArray[np.float32]], volume: float, centre: float, flaw: str, tmp_path: Path
+) -> None:
+    (path := tmp_path / "part.stl").write_bytes(meshes.stl(np.concatenate(parts)))
+    found = meshes.solid(path)
+    assert found.volume == pytest.approx(volume, rel=1e-5)
+    assert found.centre[0] == pytest.approx(centre, abs=1e-3)
+    assert bool(found.flaw) == bool(flaw)
+    if flaw:
+        with pytest.warns(UserWarning, match=f"part.stl: .*{flaw}.*: its volume and inertia are those of its convex"):
+            Mesh(path, 0.001, collision="decomposed")
+
+
+STL = meshes.stl(ONE)
+FACET = "facet normal 0 0 0\nouter loop\n" + 3 * "vertex {} {} {}\n" + "endloop\nendfacet\n"
+FACETS = "".join(FACET.format(*one) for one in ONE.reshape(-1, 9).tolist())
+TEXT = f"solid a vertex 1 2\n{FACETS}endsolid a vertex 1 2\n"
+OBJ = "".join("v {} {} {}\n".format(*corner) for corner in ONE.reshape(-1, 3).tolist())
+FACES = [f"f {n} {n + 1} {n + 2}\n" for n in range(1, 36, 3)]
+DIALECTS: dict[str, tuple[str, bytes]] = {
+    "in capitals": ("stl", TEXT.upper().encode()),
+    "of Windows": ("stl", TEXT.replace("\n", "\r\n").encode()),
+    "of old Macs": ("stl", TEXT.replace("\n", "\r").encode()),
+    "of two bodies": ("stl", TEXT.replace("endfacet\n", "endfacet\nendsolid a\nsolid b\n", 1).encode()),
+    "a line's end after it": ("stl", STL + b"\r\n"),
+    "count never written": ("stl", STL[:80] + bytes(4) + STL[84:]),
+    "count of a stream": ("stl", STL[:80] + b"\xff" * 4 + STL[84:]),
+    "binary that begins like text": ("stl", b"solid" + STL[5:]),
+    "OBJ with comments": ("obj", (OBJ + " # 1\n".join(FACES)).replace("\n #", " #").encode()),
+    "OBJ in broken lines": ("obj", (OBJ + "".join(FACES).replace("f ", "f \\\n")).encode()),
+}
+
+
+@pytest.mark.parametrize(("kind", "data"), DIALECTS.values(), ids=DIALECTS)
+def test_a_mesh_is_read_in_every_dialect(kind: str, data: bytes, tmp_path: Path) -> None:
+    (path := tmp_path / f"part.{kind}").write_bytes(data)
+    assert np.array_equal(meshes.triangles(path), ONE)
+
+
+REFUSED: dict[str, tuple[str, bytes]] = {
+    "its header counts 12 triangles, 11 follow": ("stl", STL[:-50]),
+    "its header counts 12 triangles, 24 follow": ("stl", STL + STL[84:]),
+    "not an STL file, or a damaged one: 23 bytes": ("stl", b"version https://git-lfs"),
+    "part.stl:11: not a corner of three numbers": ("stl", TEXT.replace("vertex 5.0", "vertex 5,0", 1).encode()),
+    "cut off, or damaged: 6 triangles, 18 corners": ("stl", TEXT[: len(TEXT) // 2].encode()),
+    "a coordinate beyond 100000, or not a number": ("stl", TEXT.replace("5.0", "nan").encode()),
+    "part.obj:37: not a face of corners from 1 to 36": ("obj", (OBJ + "f 0 1 2").encode()),
+    "no triangles": ("obj", OBJ.encode()),
+    "cannot be read as Collada: DaeMalformedError": ("dae", b"<COLLADA>"),
+    "a document type, entities": ("dae", b'<!DOCTYPE a [<!ENTITY x SYSTEM "/etc/passwd">]><COLLADA>&x;</COLLADA>'),
+}
+
+
+@pytest.mark.parametrize(("said", "file"), REFUSED.items(), ids=REFUSED)
+def test_a_damaged_mesh_is_refused_for_a_true_reason(said: str, file: tuple[str, bytes], tmp_path: Path) -> None:
+    (path := tmp_path / f"part.{file[0]}").write_bytes(file[1])
+    with pytest.raises(PluginError, match=re.escape(said)):
+        meshes.triangles(path)
+
+
+@pytest.mark.parametrize(("up", "centre"), [("Z_UP", (1, 2, 3)), ("Y_UP", (1, -3, 2)), ("X_UP", (-2, -3, 1))])
+def test_collada_is_read_in_its_unit_with_its_upper_axis(up: str, centre: tuple[float, ...], tmp_path: Path) -> None:
+    made = trimesh.creation.box((20, 40, 60)).apply_translation((10, 20, 30))
+    text = trimesh.exchange.dae.export_collada(made).decode().replace("Y_UP", up)
+    (path := tmp_path / "part.dae").write_text(text.replace("</asset>", '<unit name="mm" meter="0.001"/></asset>'))
+    assert meshes.solid(path).volume == pytest.approx(4.8e-5)
+    assert meshes.solid(path).centre == pytest.approx(np.array(centre) / 100)
+
+
+def test_a_file_that_is_edited_is_read_again(tmp_path: Path) -> None:
+    part, drawer = tmp_path / "part.stl", tmp_path / "drawer.urdf"
+    for size in (1, 2):
+        part.write_bytes(meshes.stl(size * ONE))
+        drawer.write_text(URDF.replace('upper=".2"', f'upper="{size}"'))
+        assert volume_of([Mesh(part, 0.1)]) == pytest.approx(size**3)
+        assert urdf.load(drawer, driven=False).joints[0].upper == size
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -165,9 +270,41 @@ def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(
     world.close()
 
 
+CLASSES = """
+<mujoco><compiler angle="degree"/><default><geom density="500"/><default class="leaf"><geom type="capsule" size=".01"/>
+  <joint range="0 90" damping=".5"/><default class="pin"><geom type="cylinder" size=".02 .05" mass=".3"/></default>
+  <default class="seen"><geom type="sphere" size=".03" contype="0" conaffinity="0"/></default></default></default>
+<worldbody><body name="frame" euler="0 0 30"><geom type="box" size=".02 .02 .3"/>
+  <body name="leaf" childclass="leaf" pos=".02 0 .05" euler="10 20 30"><joint name="h" pos="0 .01 0" axis="0 0 2"/>
+    <geom fromto="0 0 0 .2 0 .1"/><geom class="pin" pos=".1 0 0" euler="0 40 0"/><geom class="seen" pos="0 0 .2"/>
+    <geom type="box" size=".01 .02 .03" quat=".6 .8 0 0" density="2000"/>
+    <body name="handle" pos=".2 0 0"><joint name="k" range="-45 45"/><geom class="pin" mass=".05"/></body>
+</body></body></worldbody></mujoco>
+"""
+
+
+def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path: Path) -> None:
+    mujoco = pytest.importorskip("mujoco")
+    (path := tmp_path / "door.xml").write_text(CLASSES)
+    model, found = mujoco.MjModel.from_xml_string(CLASSES), fixtures.read(path).robot
+    for number, (name, joint) in enumerate(zip("hk", found.findall("joint"), strict=True)):
+        link = next(one for one in found.findall("link") if one.get("name") == name)
+        (mass, centre, tensor), body = urdf.inertia_of(link), model.jnt_bodyid[number]
+        turn = matrix_of(tuple(model.body_iquat[body][[1, 2, 3, 0]]))
+        assert mass == pytest.approx(model.body_mass[body], rel=1e-9)
+        assert centre == pytest.approx(model.body_ipos[body] - model.jnt_pos[number], rel=1e-6, abs=1e-12)
+        assert tensor == pytest.approx(turn @ np.diag(model.body_inertia[body]) @ turn.T, rel=1e-6, abs=1e-10)
+        upper, damping = (
+            one.get(key, "") for tag, key in (("limit", "upper"), ("dynamics", "damping")) for one in joint.iter(tag)
+        )
+        assert float(upper) == pytest.approx(model.jnt_range[number][1])
+        assert damping == "0.5"
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
+        (CLASSES.replace('class="pin" p', 'class="pen" p'), "xml:7: geom: there is no class 'pen'"),
         (URDF.replace('lower="0" upper=".2"', 'lower="0"'), "joint slide: limits must satisfy lower < upper"),
         (URDF.replace("<dynamics", '<mimic joint="x"/><dynamics'), "joint slide: it mimics x, which only a motor does"),
         (MJCF.replace("<option", "<tendon/><option"), "xml:2: tendon: <tendon> in <mujoco> is not known to karolos"),

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from support.fourth_robot import exported_arm, small_arm
 
 from karolos.errors import PluginError
+from karolos.files import find_named
 from karolos.plugins.contracts import Candidate, candidate
 from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
@@ -149,9 +150,9 @@ def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_st
     mesh = meshes / "arm.stl"
     mesh.touch()
     for name in ("../meshes/arm.stl", "meshes/arm.stl", "package://my_robot/meshes/arm.stl", f"file://{mesh}"):
-        assert urdf.find_mesh(name, urdfs) == mesh, name
+        assert find_named(name, urdfs) == mesh, name
     renamed = (tmp_path / "my_robot").rename(tmp_path / "robot-main")
-    assert urdf.find_mesh("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
+    assert find_named("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
 
 
 def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(tmp_path: Path) -> None:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 
 import pytest
+from pydantic import JsonValue, SecretStr
+from support.fake_plugins import Point
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import PluginError, SpecError
@@ -41,6 +43,29 @@ def test_all_mistakes_are_told_in_the_order_of_the_file(tmp_path):
     assert [line.split(": ")[1] for line in found] == [
         "robot.stp", "task.name", "agent.discount", "training.steps", "seed",
     ]  # fmt: skip
+
+
+class Keyed(Point):
+    class Settings(Point.Settings):
+        given: JsonValue = None
+        key: SecretStr | None = None
+
+
+SECRETS = {
+    "given": [{"db": [{"API_KEY": "geheim"}]}, "db://me:geheim@host", "x?password=geheim", "hf_geheimgeheimgeheim"],
+    "key": ["geheim"],
+}
+
+
+@pytest.mark.parametrize(("key", "value"), [(key, value) for key, values in SECRETS.items() for value in values])
+def test_a_secret_is_refused_and_not_shown_and_a_variable_is_taken(fake_plugins, monkeypatch, key, value):
+    monkeypatch.setattr("support.fake_plugins.Keyed", Keyed, raising=False)
+    fake_plugins("environments", "keyed", "support.fake_plugins:Keyed")
+    with pytest.raises(SpecError, match=rf"environment\.{key}.*: looks like a secret.* environment variable") as caught:
+        spec_from_dict({"environment": {"name": "keyed", key: value}, "agent": "learner"})
+    assert "geheim" not in str(caught.value)
+    named = {"db": [{"API_KEY": "${MY_KEY}", "tokens": 3, "password": ""}]}
+    assert spec_from_dict({"environment": {"name": "keyed", "given": named}, "agent": "learner"})
 
 
 def test_union_mistake_is_told_once(tmp_path):

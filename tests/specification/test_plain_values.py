@@ -63,3 +63,14 @@ def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_
     assert line.startswith("override agent=ppo: buffer: agent 'ppo' learns from its own latest actions only")
     assert line.endswith("e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both")
     assert load_spec("panda_reach_ppo").buffer.name == "on_policy"
+
+
+def test_a_number_of_seeds_means_the_first_ones(tmp_path: Path) -> None:
+    path = write(tmp_path, "s.yaml", REACH + "seeds: 3\n")
+    assert load_spec(path).seeds == (0, 1, 2)
+    assert load_spec(path, ["seeds=1"]) == load_spec(path, ["seeds=[0]"])
+
+
+def test_a_home_folder_in_a_path_is_refused(tmp_path: Path) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH.replace("sac", "{name: sac, start_from: ~/x}")))
+    assert line.startswith("s.yaml:3:32: agent.start_from: ~/x: ~ and variables are not replaced")

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import os
 import pickle
 from dataclasses import FrozenInstanceError
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -150,7 +152,7 @@ parts = {
 }
 optional = {
     "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", fullmatch=True),
-    "seeds": st.lists(st.integers(0, 10**60), min_size=1, max_size=4, unique=True),
+    "seeds": st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True),
     "randomization": st.dictionaries(
         st.sampled_from(["task.gravity", "robot.mass"]),
         st.fixed_dictionaries({"name": st.just("normal"), "mean": st.floats(-9, 9), "std": numbers}),
@@ -168,3 +170,19 @@ def test_dump_loads_as_an_equal_spec(tmp_path, given_spec):
     assert spec_from_dict(dump).hash() == spec.hash()
     assert load_spec(write(tmp_path, "again.yaml", to_yaml(dump))) == spec
     assert set(spec.origins) == set(spec_from_dict(dump).origins)
+
+
+def test_a_file_that_a_setting_names_counts_by_its_content(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    spec = spec_from_dict({"environment": {"name": "point", "label": "part.stl"}, "agent": "learner"})
+    hashes = [spec.hash()]
+    assert spec.files() == {}
+    for text in ("a", "b"):
+        Path("part.stl").write_text(text)
+        hashes.append(spec.hash())
+    assert list(spec.files()) == ["environment.label"]
+    assert len(set(hashes)) == 3
+    os.makedirs("elsewhere")
+    Path("part.stl").rename("elsewhere/part.stl")
+    moved = spec_from_dict({"environment": {"name": "point", "label": "elsewhere/part.stl"}, "agent": "learner"})
+    assert moved.hash() == hashes[-1]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -21,6 +23,18 @@ def generator(seed: int = 0) -> np.random.Generator:
 @given(st.lists(RATIO, min_size=1, max_size=23))
 def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values: list[float]) -> None:
     assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
+
+
+def test_many_values_have_the_same_mean_and_interval_in_little_memory() -> None:
+    values = generator().random(9_000)
+    assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
+    assert np.isnan(aggregates.iqm(np.append(values, np.nan)))
+    drawn = generator(1).integers(0, 9_000, (aggregates.RESAMPLES, 9_000))
+    whole = np.quantile(values[drawn].mean(1), aggregates.LEVELS, method="inverted_cdf")
+    tracemalloc.start()
+    assert aggregates.paired_interval([values], aggregates.mean, generator(1)) == tuple(whole)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
 
 
 def test_inter_quartile_mean_is_unknown_where_a_value_is() -> None:

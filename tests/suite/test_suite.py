@@ -197,6 +197,10 @@ def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
         RunJob(spec_from_dict({**line, "name": name}, [f"training.steps={steps}"]), Home(tmp_path, "", "resume"))
         for name, steps in (("short", 100), ("long", 300), ("last", 100))
     ]
+    told = training.without_test(jobs, 49.0, 1) or ""
+    assert told.startswith("the share of the budget ends before the first test of short, last; at 330 steps per second")
+    assert "--budget 1m is enough" in told
+    assert training.without_test(jobs, 60.0, 1) is None
     shares = training.Shares(jobs, 100.0, 1)
     event = RunStarted("run", 0, 100, "folder")
     assert shares.heard(jobs[0], event) is None

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any, ClassVar, Literal
 
+import numpy as np
 from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
-from karolos.core import Agent, Buffer, Field, Layout, Settings, Signature
+from karolos.core import Agent, Buffer, Field, Layout, Settings, Signature, Step
 from karolos.randomization.distributions import Distribution
 
 
@@ -51,6 +52,15 @@ class RobotTask(Fake):
         substeps: int = Setting(10, ge=1, description="physics steps per control step")
 
     declared: ClassVar[dict[str, object]] = {}
+
+    def reset(self, seed: int) -> Step:
+        nothing = np.zeros(0, np.float32)
+        return Step(np.zeros(1, np.float32), nothing, nothing, 0.0, False, False, False)
+
+    step = reset
+
+    def parameters(self) -> Any:
+        return np.zeros(0, np.float32)
 
     def randomize(self, distributions: dict[str, object]) -> None:
         assert not distributions

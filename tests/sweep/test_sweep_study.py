@@ -11,7 +11,7 @@ from karolos.errors import UsageError
 from karolos.records.results import TestResult
 from karolos.specification import spec_from_dict
 from karolos.sweep.objectives import directions, measure, nominal_steps, so_far
-from karolos.sweep.study import Study
+from karolos.sweep.study import STARTUP_TRIALS, Study
 from karolos.training.assembly import check_parts
 
 CONDITIONAL = {
@@ -34,11 +34,12 @@ def finish(one: Study, count: int) -> None:
 
 
 @pytest.mark.parametrize("sampler", ["tpe", "random", "gp"])
-def test_an_interrupted_sweep_draws_what_it_would_have_drawn(tmp_path, sampler):
+def test_an_interrupted_sweep_draws_what_it_would_have_drawn_and_a_dry_run_shows(tmp_path, sampler):
     for name in ("whole", "broken"):
         (tmp_path / name).mkdir()
     whole = study(tmp_path / "whole", sampler=sampler)
     finish(whole, 13)
+    assert [trial.drawn for trial in whole.trials()][:STARTUP_TRIALS] == Study.draws(whole._sweep, STARTUP_TRIALS)
     finish(study(tmp_path / "broken", sampler=sampler), 11)
     again = study(tmp_path / "broken", sampler=sampler)
     finish(again, 2)

@@ -27,6 +27,8 @@ from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
+import trimesh
+
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError
 from karolos.plugins import poses
@@ -64,6 +66,7 @@ MESHES = {
     "solid.obj": ("".join(f"v {corner}\n" for corner in CORNERS) + FACE_LINES).encode(),
     "binary.stl": bytes(80) + struct.pack("<I", 4) + BINARY,
     "ascii.stl": f"solid x\n{ASCII}endsolid x\n".encode(),
+    "solid.dae": trimesh.exchange.dae.export_collada(trimesh.creation.box((0.01, 0.02, 0.03))),
 }
 
 

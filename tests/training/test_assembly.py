@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
+from support.faulty_environments import FAULTS
 from support.spec_files import REFUSED, problems_of, write
 from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
-from karolos.errors import KarolosError, UsageError
+from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.orchestrator.machine import memory
 from karolos.specification import load_spec, spec_from_dict
 from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
@@ -124,10 +126,36 @@ def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch: pytest.Monke
     monkeypatch.setattr("karolos.environments.toy.Toy.__init__", refuse)
     path = tmp_path / "s.yaml"
     path.write_text("environment: toy\nagent: sac\n")
-    with pytest.raises(UsageError) as refused:
+    with pytest.raises(PluginError) as refused:
         check_parts(load_spec(path))
-    told = "environment.name: environment 'toy' cannot be made: ZeroDivisionError: no mass"
-    assert str(refused.value) == f"{path}:1:14: {told}"
+    told = rf"{path}:1:14: environment.name: .*test_assembly\.py:\d+: ZeroDivisionError: no mass"
+    assert re.fullmatch(told, str(refused.value))
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_foreign_environment_that_fails_in_its_first_steps_is_told_at_its_place(fault: str, tmp_path: Path) -> None:
+    name = "{name: gymnasium, id: support.faulty_environments:Faulty-v0, kwargs: {fault: " + fault + "}}"
+    workers = int(fault.startswith("_exit"))  # without a worker nothing outlives it
+    text = f"environment: {name}\nagent: sac\norchestrator: {{processes: {workers}}}\n"
+    path = write(tmp_path, "s.yaml", text)
+    with pytest.raises(KarolosError) as refused:
+        check_parts(load_spec(path))
+    assert re.fullmatch(rf"{path}:1:\d+: environment\S*: .*", str(refused.value))
+    assert refused.value.exit_code == 3
+
+
+@pytest.mark.parametrize("method", ["reset", "act"])
+def test_what_a_robot_cannot_do_in_its_first_steps_is_told_at_the_task(
+    method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refuse(*_: object) -> None:
+        raise PluginError("the tool cannot reach (0, 0, 0) m", where="Panda", hint="its workspace is higher")
+
+    monkeypatch.setattr(f"karolos.robots.arm.Arm.{method}", refuse)
+    path = write(tmp_path, "s.yaml", "robot: panda\ntask: reach\nagent: sac\n")
+    told = "task.name: Panda: the tool cannot reach (0, 0, 0) m; its workspace is higher"
+    with pytest.raises(PluginError, match=f"^{re.escape(f'{path}:2:7: {told}')}$"):
+        check_parts(load_spec(path))
 
 
 LEARNERS: dict[str, dict[str, Any]] = {

@@ -136,12 +136,12 @@ def test_a_test_that_cannot_be_played_says_why(undisturbed: MatrixRuns, tmp_path
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / transfer_results.FILE).unlink()
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "source": "0"})
+        patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "sources": {"karolos": "0"}})
         found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
     assert started == ["(line-slow-to-fast)"]
     (problem,) = found.problems
     assert problem.startswith("the test of slow to fast, seed 0: ")
-    assert "the source of karolos or a plugin is another one" in problem
+    assert "the source of karolos is another one" in problem
 
 
 def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: MatrixRuns, tmp_path: Path) -> None:

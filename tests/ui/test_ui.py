@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import re
 import socket
+import threading
 import time
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
@@ -23,6 +25,7 @@ from karolos.records import RunFolder, labels
 from karolos.records.sweep_records import FOLDER
 from karolos.store import Store, reindex
 from karolos.ui.app import Application
+from karolos.ui.rows import experiment_rows
 from karolos.ui.server import guarded, serve
 
 HOST = "http://127.0.0.1:6789"
@@ -96,7 +99,7 @@ def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
     store = Store(Store.default_url(tmp_path))
     one, two = (store.runs(name=name)[0].experiment for name in ("reach", "slide"))
     text = page.get("/compare", params={"e": [one, two]}).text
-    assert text.count("<figure") == 4
+    assert text.count("<figure") == 3  # no profile of seeds that are alike
     for part in ("reach, slide", "In numbers", "agent.learning_rate", 'id="show-1"', "/runs/slide-s0"):
         assert part in text
     assert page.get("/compare").status_code == 400
@@ -124,19 +127,42 @@ def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
     assert "run.json is damaged" in page.get("/folders?check=1").text
 
 
-def test_sweeps_lead_to_their_trials_and_reports(tmp_path: Path) -> None:
-    write_sweep(tmp_path, "x", [some_trial(0)])
-    (tmp_path / FOLDER / "x" / "report.html").write_text("<h1>the report</h1>")
-    (tmp_path / "transfers" / "matrix").mkdir(parents=True)
-    reindex(Store(Store.default_url(tmp_path)), tmp_path)
+def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> None:
+    run = add_run(tmp_path, 0, name="x-t000")
     page = client(tmp_path)
-    text = page.get("/sweeps").text
-    for part in ("1 of 3", "agent.learning_rate = 1.0", "/reports/sweeps/x", "matrix has no report yet"):
-        assert part in text
-    report = page.get("/reports/sweeps/x")
+    for kind in ("sweep", "suite", "transfer"):
+        assert f"<pre>karolos {kind}" in page.get(f"/{kind}s").text  # what to do next
+    write_sweep(tmp_path, "x", [some_trial(0)])
+    for file in (f"{FOLDER}/x/figures/history.svg", "suites/a b/report.html", "suites/a b/secret", "transfers/m/lock"):
+        path = tmp_path / file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(f"<body><h1>the report</h1><a href='../../{run}'>")
+    reindex(Store(Store.default_url(tmp_path)), tmp_path)
+    listed = {
+        "sweeps": ("1 of 3", "agent.learning_rate = 1", "/runs/sweeps/x/figures/history.svg"),
+        "suites": ("/runs/suites/a%20b/report.html",),
+        "transfers": ("m: no report yet",),
+    }
+    assert '<a href="/?trials=1">' in page.get("/").text  # the only run is a trial's
+    for kind, parts in listed.items():
+        text = page.get(f"/{kind}").text
+        assert [part for part in parts if part not in text] == []
+    report = page.get("/runs/suites/a%20b/report.html")
     assert "the report" in report.text
+    assert '<a href="/suites">' in report.text  # a way back
+    assert page.get(str(report.url.join(f"../../{run}"))).status_code == 200
     assert report.headers["content-security-policy"].startswith("sandbox")
-    assert page.get("/reports/sweeps/%2e%2e%2fx").status_code in (400, 404)
+    for hidden in ("a%20b/secret", "%2e%2e%2fx/report.html", "c/report.html", "%00/report.html", "a" * 5000 + "/x"):
+        assert page.get(f"/runs/suites/{hidden}").status_code == 404
+
+
+def test_an_unknown_address_is_a_page_with_a_way_back(tmp_path: Path) -> None:
+    page = client(tmp_path)
+    for address, status in (("/nowhere", 404), ("/static/x.js", 404), ("/runs/a/b/<b>", 404), ("/runs/a/labels", 405)):
+        answer = page.get(address)
+        assert answer.status_code == status
+        assert '<a href="/">' in answer.text
+        assert "<b>" not in answer.text
 
 
 @pytest.mark.parametrize(
@@ -218,3 +244,54 @@ def test_what_is_shown_is_told_with_the_address(tmp_path: Path, monkeypatch: pyt
     code, out, err = call(app, "--runs", str(tmp_path), "--port", "0")
     assert (code, err) == (0, f"shows {tmp_path}; Ctrl-C ends it\n")
     assert re.fullmatch(r"http://127\.0\.0\.1:[1-9]\d*/\n", out)
+
+
+def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
+    application = Application(tmp_path, Store(Store.default_url(tmp_path)))
+    other = []
+
+    def long() -> str:
+        thread = threading.Thread(target=lambda: other.append(application._once("short", lambda: "drawn")))
+        thread.start()
+        thread.join(10)
+        return "long"
+
+    assert application._once("long", long) == "long"
+    assert other == ["drawn"]
+
+
+def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path: Path) -> None:
+    add_run(tmp_path, 0)
+    add_run(tmp_path, 1, name="reach-mine", state="stopped", solved=0)
+    store = Store(Store.default_url(tmp_path))
+    [row] = experiment_rows(store, store.experiments().experiments)
+    assert row.name == "reach-mine, reach"
+    assert (row.value, "1 of 2 seeds not finished, left out" in row.interval) == ("0.950", True)
+
+
+@pytest.mark.parametrize("name", ["%00", "a" * 5000, "%F0%9F%98%80" * 2000, "..%2f..", "%FF"])
+def test_a_name_that_no_file_can_have_is_not_found(name: str, tmp_path: Path) -> None:
+    assert client(tmp_path).get(f"/reports/sweeps/{name}").status_code == 404
+
+
+def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path: Path) -> None:
+    run, sent = add_run(tmp_path, 0), []
+
+    async def receive() -> dict[str, str]:
+        return {"type": "http.disconnect"}
+
+    async def send(message: dict[str, object]) -> None:
+        sent.append(message)
+
+    scope = {"type": "http", "method": "POST", "path": f"/runs/{run}/labels", "query_string": b"", "headers": []}
+    asyncio.run(Application(tmp_path, Store(Store.default_url(tmp_path))).asgi()(scope, receive, send))
+    assert sent[0]["status"] == 400
+
+
+def test_a_film_waits_for_a_policy(tmp_path: Path) -> None:
+    run = add_run(tmp_path, 0)
+    page = client(tmp_path)
+    assert "There is no policy that could be filmed" in page.get(f"/runs/{run}").text
+    assert "<button>Film" not in page.get(f"/runs/{run}").text
+    (tmp_path / run / "checkpoints" / "best").mkdir(parents=True)
+    assert "<button>Film" in page.get(f"/runs/{run}").text

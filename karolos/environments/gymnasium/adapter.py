@@ -14,7 +14,7 @@ from pydantic import JsonValue, field_validator, model_validator
 
 from ...core import Array, Discrete, Environment, Field, FloatArray, Layout, Measure, Signature, Step
 from ...core import Settings as BaseSettings
-from ...errors import KarolosError, MachineError, UsageError, described
+from ...errors import KarolosError, MachineError, PluginError, UsageError, described
 from ..action_set import action_index
 from .goals import GOALS, GymnasiumGoals
 
@@ -91,6 +91,8 @@ class Gymnasium(Environment):
 
         @model_validator(mode="after")
         def _ordered(self) -> Gymnasium.Settings:
+            if "max_episode_steps" in self.kwargs:
+                raise ValueError("kwargs cannot have max_episode_steps; set max_steps instead")
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
                 raise ValueError(f"reward_range must go from the smallest to the largest, not {self.reward_range}")
             if self.goals and (self.flatten_goals or self.success_return is not None):
@@ -111,7 +113,12 @@ class Gymnasium(Environment):
         self._success_return = registered if settings.success_return is None else settings.success_return
         try:
             self._space: Any = _observed(env.observation_space, settings)
-            steps = settings.max_steps or getattr(env.spec, "max_episode_steps", None) or _registered_steps(settings.id)
+            limit = _own_limit(env)
+            if settings.max_steps and limit and limit < settings.max_steps:
+                what = f"{settings.id} itself ends its episodes after {limit} steps"
+                hint = f"at most {limit}, or raise that in its arguments, environment.kwargs"
+                raise UsageError(what, setting="environment.max_steps", hint=hint)
+            steps = settings.max_steps or min(filter(None, (limit, _registered_steps(settings.id))), default=None)
             if not steps:
                 raise UsageError(
                     f"{settings.id} is registered without a largest number of steps", setting="environment.max_steps"
@@ -144,9 +151,12 @@ class Gymnasium(Environment):
         self._last: Step | None = None
         self._info: Mapping[str, Any] = {}
         """Of the last step."""
+        self._seen = False
+        """Whether observations were compared with their space."""
 
     def reset(self, seed: int) -> Step:
-        observation, info = self._env.reset(seed=seed)
+        found = self._env.reset(seed=seed)
+        observation, info = self._parts(found, "reset", "observation, info")
         self._steps = 0
         self._return = 0.0
         self._last = self._step(observation, 0.0, False, False, info)
@@ -160,7 +170,14 @@ class Gymnasium(Environment):
         converted = self._converted(np.asarray(action, np.float64))
         if self._last is None or self._steps >= self.signature.max_steps:
             raise RuntimeError(f"{self.settings.id}: the episode is over; reset the environment first")
-        observation, reward, terminated, truncated, info = self._env.step(converted)
+        found = self._env.step(converted)
+        names = "observation, reward, terminated, truncated, info"
+        observation, reward, terminated, truncated, info = self._parts(found, "step", names)
+        if np.ndim(reward) or np.asarray(reward).dtype.kind not in "biuf":
+            raise self._broken(f"step returns the reward {_line(repr(reward))}, which is not a number")
+        for name, value in (("terminated", terminated), ("truncated", truncated)):
+            if not isinstance(value, bool | np.bool_):
+                raise self._broken(f"step returns {name} {_line(repr(value))}, which is not a bool")
         self._steps += 1
         self._info = info
         reward = float(reward)
@@ -176,6 +193,19 @@ class Gymnasium(Environment):
         if self._last.terminated or self._last.truncated:
             self._steps = self.signature.max_steps
         return self._last
+
+    def _parts(self, found: Any, method: str, names: str) -> tuple[Any, ...]:
+        """What a method of the environment returned; of its first steps the observation is compared with the space."""
+        count = names.count(",") + 1
+        if not isinstance(found, tuple) or len(found) != count or not isinstance(found[-1], Mapping):
+            raise self._broken(f"{method} returns no tuple ({names}) with a dict at its end")
+        if not self._seen and (problem := _difference(self._env.observation_space, found[0])):
+            raise self._broken(f"{method} returns {problem}")
+        self._seen = method == "step"
+        return found
+
+    def _broken(self, what: str) -> PluginError:
+        return PluginError(f"{self.settings.id}: {what}", setting=ID_SETTING, hint="correct the environment")
 
     def _step(self, observation: Any, reward: float, terminated: bool, truncated: bool, info: Any) -> Step:
         from gymnasium.spaces import flatten  # noqa: PLC0415
@@ -215,13 +245,13 @@ class Gymnasium(Environment):
     def render(self, width: int = 640, height: int = 480) -> Array:
         if self._env.render_mode != "rgb_array":
             raise MachineError(f"{self.settings.id} draws no pictures", setting=ID_SETTING)
-        try:
-            picture = np.asarray(self._env.render(), np.uint8)
-        except Exception as error:  # a missing pygame or graphics card raises errors of any class
-            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", setting=ID_SETTING) from error
         from PIL import Image  # noqa: PLC0415
 
-        return np.asarray(Image.fromarray(picture).resize((width, height), Image.Resampling.BILINEAR))
+        try:
+            picture = Image.fromarray(np.asarray(self._env.render(), np.uint8))
+        except Exception as error:  # a missing pygame or graphics card raises errors of any class
+            raise MachineError(f"{self.settings.id} cannot be drawn: {_line(error)}", setting=ID_SETTING) from error
+        return np.asarray(picture.resize((width, height), Image.Resampling.BILINEAR))
 
     def close(self) -> None:
         self._steps = self.signature.max_steps  # no episode is running
@@ -283,6 +313,17 @@ def _run_that_holds(module: str) -> Path | None:
     return None
 
 
+def _own_limit(env: Any) -> int | None:
+    """After how many steps the environment itself, or a TimeLimit in it, ends an episode."""
+    from gymnasium.wrappers import TimeLimit  # noqa: PLC0415
+
+    limits = [getattr(env.spec, "max_episode_steps", None)]
+    while env is not env.unwrapped:
+        limits.append(env._max_episode_steps if isinstance(env, TimeLimit) else None)
+        env = env.env
+    return min(filter(None, limits), default=None)
+
+
 def _registered_steps(name: str) -> int | None:
     """The registered limit, which the spec of an environment made without TimeLimit lacks."""
     from gymnasium import spec  # noqa: PLC0415
@@ -316,6 +357,18 @@ def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
             hint="choose one that observes vectors, or wrap it: gymnasium.wrappers.FlattenObservation",
         )
     return spaces.Dict({key: part for key, part in space.items() if key not in GOALS}) if settings.goals else space
+
+
+def _difference(space: Any, value: Any, name: str = "observation") -> str | None:
+    """Which part of an observation is not in its space. Numbers may be more precise than there."""
+    from gymnasium import spaces  # noqa: PLC0415
+
+    if isinstance(space, spaces.Dict) and isinstance(value, Mapping) and set(space) <= set(value):
+        return next(filter(None, (_difference(part, value[key], f"{key!r}") for key, part in space.items())), None)
+    inside = not isinstance(space, spaces.Box) or np.can_cast(np.asarray(value).dtype, space.dtype, "same_kind")
+    if inside and space.contains(np.asarray(value, space.dtype) if isinstance(space, spaces.Box) else value):
+        return None
+    return f"{name} {_line(value)}, which is not in its space {_line(space)}"
 
 
 def _layout(space: Any) -> Layout:

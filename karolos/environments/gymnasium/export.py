@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
@@ -91,6 +92,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Begin an episode. The info has its seed, and the parameters that randomization drew."""
         super().reset(seed=seed, options=options)
+        self._refuse_longer_limits()
         episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
         step = self._environment.reset(episode)
         names, values = self._environment.signature.parameters.names, self._environment.parameters().tolist()
@@ -98,6 +100,16 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if names:
             info["parameters"] = dict(zip(names, values, strict=True))
         return _observed(step), info
+
+    def _refuse_longer_limits(self) -> None:
+        """Raise UsageError for a TimeLimit around this environment that would never end an episode."""
+        steps, caller = self._environment.signature.max_steps, sys._getframe(2)
+        while caller is not None:
+            wrapper = caller.f_locals.get("self") if caller.f_code.co_name == "reset" else None
+            if isinstance(wrapper, gymnasium.wrappers.TimeLimit) and wrapper._max_episode_steps > steps:
+                what = f"a limit of {wrapper._max_episode_steps} steps has no effect: episodes end after {steps}"
+                raise UsageError(what, hint=f"give max_steps={wrapper._max_episode_steps}, a setting of the task")
+            caller = caller.f_back  # type: ignore[assignment]
 
     def step(self, action: NDArray[np.float32]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """One control step. At the end of an episode the info has its measures, nan where undefined.

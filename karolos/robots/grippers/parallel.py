@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from pathlib import Path
 from typing import ClassVar
 
@@ -33,7 +32,7 @@ class GripperModel:
     variants: Mapping[str, Path] = field(default_factory=dict)
     """URDFs that stand for this one on some arms, by the name of the arm's URDF, such as ur5."""
 
-    @cached_property
+    @property
     def mass(self) -> float:
         """In kg."""
         robot = urdf.load(self.urdf, slides=self.fingers.joints if self.fingers else ()).robot

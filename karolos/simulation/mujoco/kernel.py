@@ -2,12 +2,13 @@
 
 MuJoCo solves for the accelerations a that minimise a cost of a - aref, where aref and the compliance R of every row are
 known between the two halves of a physics step. Here both are written there. Only compiled code is fast enough for that:
-numba compiles it, without a compiler on the machine, and keeps it on disk.
+numba compiles it, without a compiler on the machine, and `compiled` keeps it on disk.
 """
 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -457,7 +458,7 @@ def _load(data, at, motors, velocities, places, loads):
             loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
 
 
-@compiled
+@partial(compiled, told=True)
 def advance(
     model,
     data,
@@ -479,6 +480,7 @@ def advance(
     tools,
     hands,
     lips,
+    springs,
     suction,
 ):
     """Take a physics step of h seconds for each row of `targets`.
@@ -509,7 +511,8 @@ def advance(
         tools: of the arms, `TOOL` (r,).
         hands: number of the tool that each geom moves with, -1 for others (ngeom,).
         lips: number of each geom among the points of a cup's lip, -1 for others (ngeom,).
-        suction: whether the cup of each tool sucks in each physics step (r, n).
+        springs: rows of the tools on a spring; None: there is none, and what it needs is not compiled.
+        suction: whether the cup of each tool sucks in each physics step (r, n); None likewise.
     """
     steps, count = targets.shape
     peaks[:] = 0.0
@@ -532,17 +535,19 @@ def advance(
             if row >= 0:
                 _touch(data, at, contact, row, h, material)
             contact += at[STRIDE]
-        for tool in range(len(tools)):
-            if tools[tool].spring[0] > 0:
+        if springs is not None:
+            for tool in springs:
                 _pull(model, data, at, h, positions, velocities, tools[tool], (step + 0.5) * h)
-            if tools[tool].cup > 0:
-                _suck(data, at, suction[tool, step], tool, tools[tool], hands, lips, bodies, len(peaks))
+        if suction is not None:
+            for tool in range(len(tools)):
+                if tools[tool].cup > 0:
+                    _suck(data, at, suction[tool, step], tool, tools[tool], hands, lips, bodies, len(peaks))
         _step2(model, data)
         _weigh(data, at, bodies, forces, peaks, largest)
         _load(data, at, motors, velocities, places, loads)
         _feel(data, at, tools, hands, felt, turn, pose, own)
-        for tool in range(len(tools)):
-            if tools[tool].spring[0] > 0:
+        if springs is not None:
+            for tool in springs:
                 _resist(data, at, tools[tool], loads)
     for joint in places[:, 1]:
         loads[1, joint] = max(loads[1, joint], abs(velocities[joint] - before[joint]) / (steps * h))

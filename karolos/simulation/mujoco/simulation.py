@@ -160,7 +160,8 @@ class Simulation:
             self.tools,
             self.hands,
             self.lips,
-            self.suction,
+            self._springs,
+            self.suction if self._cups else None,
         )
         self.stepped = True
 
@@ -206,6 +207,8 @@ class Simulation:
         self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
         for part in self.parts:
             part.find(self.model)
+        self._springs = np.array(sorted({row for row, _ in self.sprung.values()})) if self.sprung else None
+        self._cups = bool(self.tools["cup"].any())
         self._structure_changed = self.stepped = False
         self._parameters_changed = True
 

@@ -1,0 +1,76 @@
+"""Continues a finished run for more steps, as a run of its own that begins at its last checkpoint."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from typing import Any
+
+from .. import checkpoint
+from ..errors import UsageError
+from ..records import RunFolder, provenance
+from ..specification import Spec, spec_from_dict
+from .events import Listener
+from .resume import LAST, check_files, find_run
+from .writer import RunWriter
+
+CHANGEABLE = ("name", "training.steps", "training.device", "training.threads", "training.diverging")
+"""Settings that do not change what the steps before have made."""
+
+
+def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
+    """The spec of the run that goes on from the end of a finished one.
+
+    Raises:
+        UsageError: the run is not finished or ships without a checkpoint, an override changes more than CHANGEABLE, or
+            there are no more steps to take.
+        SpecError: an override is not valid.
+    """
+    for override in overrides:
+        if override.partition("=")[0].strip() not in CHANGEABLE:
+            hint = f"these can change: {', '.join(CHANGEABLE)}; agent.start_from={source.id} begins a new run"
+            raise UsageError("a run goes on with the settings that it began with", where=override, hint=hint)
+    state = source.state()
+    if state.state != "finished":
+        hint = f"first `karolos resume {source.id}`, without settings"
+        raise UsageError(f"only a finished run goes on with other settings; this one is {state.state}", hint=hint)
+    if LAST not in checkpoint.names(source.checkpoints):
+        hint = f"agent.start_from={source.id} begins a new run from its policy"
+        raise UsageError(f"{source.id} has no checkpoint {LAST!r} to go on from", hint=hint)
+    steps = checkpoint.read_meta(source.checkpoints, LAST)["steps"]
+    origin = {"experiment": source.description()["experiment"], "at": steps}
+    spec = spec_from_dict(source.spec() | {"continued_from": origin}, overrides)
+    if spec.training.steps <= steps:
+        what = f"the run has taken {steps:,} steps, and training.steps is {spec.training.steps:,}"
+        raise UsageError(what, setting="training.steps", hint=f"name more, e.g. training.steps={2 * steps}")
+    return spec
+
+
+def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolder:
+    """The run of `continued_spec`: one that exists, or a new one that has all that the source's has.
+
+    Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
+    """
+    check_files(spec, source)
+    seed, runs = source.description()["seed"], source.path.resolve().parent
+    if (found := find_run(runs, spec.name, spec.hash(), seed)) is not None:
+        return found
+    folder = RunFolder.create(runs, spec.name, seed)
+    for name in checkpoint.names(source.checkpoints):
+        parts, meta = checkpoint.load(source.checkpoints, name)
+        checkpoint.save(folder.checkpoints, name, parts, meta | {"experiment": spec.hash()})
+    for name in ("tests.jsonl", "episodes.jsonl"):
+        if (path := source.path / name).exists():
+            shutil.copy(path, folder.path)
+    before, about = source.state(), source.description()
+    origin = {"run": source.id, "steps": spec.dump()["continued_from"]["at"]}
+    made: dict[str, Any] = {"changed": spec.changed(), "files": spec.files(), "continued_from": origin}
+    folder.describe(spec.dump(), experiment=spec.hash(), **made)
+    folder.set_state("created", steps=before.steps, updates=before.updates, seconds=before.seconds)
+    learner: dict[str, Any] = next((row for row in reversed(source.events()) if "device" in row), {})
+    folder.event("continued", **origin, **{key: learner[key] for key in ("device", "precision") if key in learner})
+    if other := provenance.other_software(about):
+        what = f"{source.id} was made with other software: {'; '.join(other)}"
+        RunWriter(folder, None, listener).warn(what, "its continuation may differ from one unbroken run")
+    folder.release()
+    return folder

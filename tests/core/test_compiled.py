@@ -1,0 +1,89 @@
+"""Compiled functions lie where the platform keeps caches, are compiled once, and never mistaken for others."""
+
+from __future__ import annotations
+
+import os
+import sys
+from pathlib import Path
+from subprocess import PIPE, Popen
+
+import pytest
+
+from karolos.core import compiled
+
+CALLED = "from karolos.core.compiled import compiled\n@compiled\ndef one(): return {}\n"
+CALLER = """
+from functools import partial
+from called import one
+from karolos.core.compiled import compiled
+@partial(compiled, told=True)
+def two(): return one(), 1 / (one() - one())
+print(two())
+"""
+
+
+def start(folder: Path, **variables: str) -> Popen[str]:
+    environment = {name: value for name, value in os.environ.items() if name != compiled.VARIABLE} | variables
+    return Popen([sys.executable, "caller.py"], cwd=folder, env=environment, text=True, stdout=PIPE, stderr=PIPE)
+
+
+def test_of_several_processes_one_compiles_and_no_other_code_or_damaged_file_is_used(tmp_path):
+    kept = tmp_path / "kept"
+    (tmp_path / "caller.py").write_text(CALLER)
+
+    def outputs(value: float, processes: int) -> tuple[list[str], str]:
+        (tmp_path / "called.py").write_text(CALLED.format(value))
+        os.utime(tmp_path / "called.py", (value, value))  # Python looks at the time of a source, too
+        started = [start(tmp_path, KAROLOS_CACHE=str(kept)) for _ in range(processes)]
+        said = [process.communicate(timeout=100) for process in started]
+        return [out for out, _ in said], "".join(err for _, err in said)
+
+    out, err = outputs(1.0, 2)
+    assert out == ["(1.0, inf)\n"] * 2
+    assert err.count(f"compiling the physics (kept in {kept}) ...\ncompiled in") == 1
+    files = set(tmp_path.rglob("*.nb?"))
+    assert files == set(kept.rglob("*.nb?")) != set()
+    for file in files:
+        file.write_bytes(b"")
+    assert "compiling" in outputs(1.0, 1)[1]
+    assert outputs(1.0, 1) == (["(1.0, inf)\n"], "")
+    out, err = outputs(2.0, 1)
+    assert (out, "compiling" in err) == (["(2.0, inf)\n"], True)
+
+
+def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_temporary_folder(tmp_path):
+    (tmp_path / "called.py").write_text(CALLED.format(1.0))
+    again = "import subprocess, sys\nif len(sys.argv) < 2: subprocess.run([sys.executable, *sys.argv, 'again'])\n"
+    (tmp_path / "caller.py").write_text(CALLER + again)
+    (tmp_path / "temporary").mkdir()
+    out, err = start(tmp_path, XDG_CACHE_HOME="/dev/null", TMPDIR=str(tmp_path / "temporary")).communicate(timeout=100)
+    assert out.count("inf") == 2
+    assert err.count("/dev/null/karolos cannot be written: each command compiles again; set KAROLOS_CACHE") == 1
+    assert err.count("compiling") == 1
+    assert list((tmp_path / "temporary").glob("karolos-*")) == []
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "folder"),
+    [
+        ("linux", {}, "home/.cache/karolos"),
+        ("linux", {"XDG_CACHE_HOME": "/caches"}, "/caches/karolos"),
+        ("linux", {"XDG_CACHE_HOME": "relative"}, "home/.cache/karolos"),
+        ("darwin", {}, "home/Library/Caches/karolos"),
+        ("win32", {"LOCALAPPDATA": "/local"}, "/local/karolos"),
+        ("win32", {}, "home/AppData/Local/karolos"),
+        ("linux", {"KAROLOS_CACHE": "mine"}, "mine"),
+        ("linux", {"KAROLOS_CACHE": ""}, None),
+    ],
+)
+def test_caches_lie_where_the_platform_keeps_them(tmp_path, monkeypatch, platform, variables, folder):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
+    monkeypatch.setattr(compiled.tempfile, "TemporaryFile", lambda dir: open(os.devnull))  # noqa: SIM115
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "KAROLOS_CACHE"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    assert compiled.cache_folder.__wrapped__() == (None if folder is None else tmp_path / folder)
