@@ -49,7 +49,14 @@ def check(
         found: Sequence[Problem | KarolosError] = ()
         note = None
         try:
-            specs = load_suite(path, overrides).specs if is_suite(path) else [load_spec(path, overrides)]
+            specs: Sequence[Spec] = () if is_suite(path) else [load_spec(path, overrides)]
+            if not specs:
+                suite = load_suite(path, overrides)
+                from karolos.launchers.suite import fitted  # not for an invalid one, as below
+
+                suite = fitted(suite)
+                specs, found = suite.specs, tuple(suite.refused.values())
+                worst = max([worst, *(error.exit_code for error in suite.refused.values())])
             note = "; ".join(dict.fromkeys(filter(None, (_check_parts(spec, runs) for spec in specs)))) or None
         except KarolosError as error:
             worst = max(worst, error.exit_code)

@@ -65,16 +65,21 @@ def suite(
 ) -> None:
     """Train every spec that SUITE names, and report them as a table of tasks and robots.
 
-    PATH=VALUE holds for every spec: agent=mine trains the table with another agent. The runs are ordinary runs with
+    PATH=VALUE holds for every spec: agent=mine trains the table with another agent, without the settings that it has no
+    use for; they are said, and so is what cannot run. The runs are ordinary runs with
     the specs' names. The page is suites/NAME/report.html in the runs folder; with overrides NAME has them at its end.
     """
     from karolos.specification.suite import load_suite
 
     found = load_suite(file, with_launcher(overrides, on))
     others = _folder(beside)
-    from karolos.launchers.suite import train
+    from karolos.launchers.suite import fitted, train
 
     from . import display
+
+    found = fitted(found, jobs or 1)
+    for note in found.notes:
+        warn(note)
 
     with display.Quiet() if quiet else display.Plain() as listener:
         trained = train(
@@ -92,8 +97,7 @@ def suite(
     from karolos.report.suite import entries_table, grid_table, measures_table, notes, verdict, write_report
 
     label = " ".join(overrides or ()) or found.name
-    written = {spec.name: spec.hash() for spec in load_suite(file).specs} if others and overrides else {}
-    report = suite_report(trained, label, others, written)
+    report = suite_report(trained, label, others)
     for warning in report.warnings:
         warn(warning)
     name = "-".join([found.name, *re.findall(r"[\w.]+", label)] if overrides else [found.name])

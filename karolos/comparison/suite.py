@@ -6,14 +6,15 @@ from collections import defaultdict
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
+from ..errors import UsageError
 from ..launchers.suite import SuiteRuns
 from ..records import RunFolder, scan
 from ..records.run_records import THRESHOLD, RunRecord
 from ..specification import Spec
 from .contenders import ComparedRun, Contender, load_compared, one_per_seed
+from .differences import differences
 from .scores import Comparison, Reaching, Scores, compare, reaching
 
 
@@ -84,23 +85,22 @@ class SuiteReport:
     """Names of the others."""
     measures: tuple[str, ...]
     warnings: tuple[str, ...]
+    left_out: tuple[str, ...] = ()
+    """Settings and specs that the overrides leave no place for, see `Suite.notes`."""
 
     def rows(self) -> list[dict[str, Any]]:
         """One JSON object per spec, as `karolos compare` gives it, with the row of the other runs in `beside`."""
         return [{"suite": self.name} | entry.row() for entry in self.entries]
 
 
-def suite_report(
-    found: SuiteRuns, label: str, beside: Path | None = None, experiments: Mapping[str, str] = MappingProxyType({})
-) -> SuiteReport:
+def suite_report(found: SuiteRuns, label: str, beside: Path | None = None) -> SuiteReport:
     """The numbers of a suite's runs.
 
     Args:
         found: the runs.
         label: of these runs.
-        beside: folder of other runs; those named as a spec stand beside it.
-        experiments: name of a spec -> hash of the experiment that is meant, if the folder has several of that name;
-            by default the suite's own.
+        beside: folder of other runs; those named as a spec stand beside it. If it has several experiments of the name,
+            the one with the settings that the suite has without overrides is meant.
     """
     entries, untested, warnings = [], list[str](), defaultdict[str, list[str]](list)
     other = None if beside is None else f"{beside.name}{'/' * (beside.name == label)}"
@@ -113,10 +113,12 @@ def suite_report(
             continue
         contenders = [Contender(label, runs)]
         if beside is not None and other is not None:
-            others = _beside(beside, spec.name, experiments.get(spec.name, spec.hash()), contenders[0])
+            written = found.suite.written.get(spec.name, spec).hash()
+            others = _beside(beside, spec.name, written, contenders[0])
             if isinstance(others, str):
                 warnings[others].append(spec.name)
             else:
+                warnings[_unlike(other, others[0].spec, spec)].append(spec.name)
                 contenders.insert(0, Contender(other, others))
         comparison = compare(contenders)
         for warning in comparison.warnings:
@@ -126,7 +128,7 @@ def suite_report(
     warnings |= {"no test yet": untested} if untested else {}
     unknown = {*found.suite.measures}.difference(*(entry.comparison.measures for entry in entries))
     warnings |= {"no spec has these measures": sorted(unknown)} if unknown else {}
-    said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items()]
+    said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items() if warning]
     return SuiteReport(
         found.suite.name,
         label,
@@ -135,7 +137,15 @@ def suite_report(
         tuple(untested),
         found.suite.measures,
         (*found.problems, *said),
+        found.suite.notes,
     )
+
+
+def _unlike(label: str, other: Mapping[str, Any], spec: Spec) -> str:
+    """Which settings runs beside the suite's have otherwise; empty if none. Another plugin is one setting."""
+    found = differences([{**one, "name": "", "seeds": []} for one in (other, spec.dump())])
+    keys = {key.partition(".")[0] if f"{key.partition('.')[0]}.name" in found else key for key in found}
+    return f"{label} has other settings: {', '.join(sorted(keys))}" if keys else ""
 
 
 def _tested(records: Iterable[RunRecord]) -> tuple[ComparedRun, ...]:
@@ -156,4 +166,10 @@ def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[C
         return f"{folder} has {len(found) or 'no'} experiments of this name, so nothing stands beside it"
     runs = {run.summary.run: run for run in _tested(records) if run.summary.experiment in found}
     chosen = one_per_seed([run.summary for run in runs.values()])
-    return tuple(runs[chosen[seed].run] for seed in sorted(chosen)) or f"{folder} has no test of this name"
+    others = tuple(runs[chosen[seed].run] for seed in sorted(chosen))
+    steps = max(run.tests[-1].steps for run in own.runs)
+    try:  # beside a shorter run stands what the others were then
+        others = tuple(run if run.tests[-1].steps <= 1.1 * steps else run.at(steps) for run in others)
+    except UsageError:
+        return f"{folder} has no test near the last one of a run that ended sooner, so nothing stands beside it"
+    return others or f"{folder} has no test of this name"

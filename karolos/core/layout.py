@@ -60,6 +60,11 @@ class Layout:
             start += field.size
         raise KeyError(f"no field {name!r}; the layout has {', '.join(self.names) or 'none'}")
 
+    def column(self, place: int) -> str:
+        """What a column is called: its field, and its place there from 0."""
+        names = [f"{field.name}[{inside}]" for field in self.fields for inside in range(field.size)]
+        return names[place]
+
     def __add__(self, other: Layout) -> Layout:
         return Layout(self.fields + other.fields)
 

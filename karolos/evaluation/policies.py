@@ -92,7 +92,7 @@ class SavedAgent(Learned):
             (a,) or (n, a), float32 in [-1, 1]; or the indices of discrete actions.
 
         Raises:
-            UsageError: a shape does not fit the environment of the run.
+            UsageError: a shape does not fit the environment of the run, or a number is nan or infinite.
         """
         seen = np.asarray(observation, np.float32)
         ahead = seen.shape[:-1]
@@ -102,6 +102,10 @@ class SavedAgent(Learned):
             if len(ahead) > 1 or array.shape != (*ahead, layout.size):
                 expected = f"({layout.size},) or (n, {layout.size})"
                 raise UsageError(f"the {name} has the shape {array.shape}", where="act", hint=f"it must be {expected}")
+            if not np.isfinite(array).all():
+                column = int(np.argwhere(~np.isfinite(array))[0, -1])
+                what = f"{name}[{column}], which is {layout.column(column)}, is not finite"
+                raise UsageError(what, where="act", hint="stop the robot, and look at its sensor")
         actions = np.asarray(self.agent.act(np.atleast_2d(seen), np.atleast_2d(wanted), explore=False))
         return actions if ahead else actions[0]
 

@@ -20,8 +20,9 @@ from .. import __version__
 from ..core import Discrete, Layout
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
+from ..environments.build import used
 from ..errors import RunError
-from ..evaluation.policies import SavedAgent, load_agent
+from ..evaluation.policies import SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
 from ..records import RunFolder
 from .numpy_policy import FORMAT, NumpyPolicy
@@ -128,6 +129,8 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
 def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
     """What policy.json holds."""
     spec, signature, action = saved.spec.dump(), saved.signature, saved.signature.action
+    with used(environment_of(playable(saved.spec))) as environment:
+        facts: dict[str, Any] = getattr(getattr(environment, "robot", None), "facts", dict)()
     return {
         "format": FORMAT,
         "run": folder.id,
@@ -140,6 +143,7 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
         "observation": _fields(signature.observation.acting),
         "desired_goal": _fields(signature.desired_goal),
         "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        "robot": facts,
         "trained_in": {key: spec[key] for key in ("robot", "task", "environment") if key in spec},
     }
 

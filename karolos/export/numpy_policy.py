@@ -47,10 +47,13 @@ class NumpyPolicy:
             (a,) or (n, a), float32 in [-1, 1]; for a discrete set the index, () or (n,), int64.
 
         Raises:
-            ValueError: the number of inputs is not the one that the policy takes, or observation or goal lacks a column
-                of `missing`. The file does not say how many of the inputs are the goal.
+            ValueError: a number is nan or infinite; the number of inputs is not the one that the policy takes, or
+                observation or goal lacks a column of `missing`. The file does not say how many of them are the goal.
         """
         parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]
+        for name, part in zip(("observation", "desired_goal"), parts, strict=True):
+            for place in np.argwhere(~np.isfinite(part))[:1]:
+                raise ValueError(f"{name}[{place[-1]}] is not finite; policy.json says which field that is")
         count = self.missing.shape[1]
         seen, wanted = (part.shape[-1] for part in parts)
         if seen + wanted + count != self.shift.size:

@@ -14,9 +14,10 @@ from time import monotonic
 
 from typing_extensions import override
 
-from ..errors import UsageError
+from ..errors import PluginError, UsageError
 from ..experiment.events import Listener, RunEvent, RunStarted, RunWarned
 from ..experiment.start_from import pinned
+from ..specification import Spec, spec_without
 from ..specification.suite import Suite
 from ..training.assembly import check_parts
 from .driver import Feed, driving
@@ -50,8 +51,9 @@ class SuiteRuns:
 
     @property
     def exit_code(self) -> int:
-        """0 if every run is finished or cut, else 1; after a stop 128 + signal, or 124 for the time limit."""
-        return self.stop_code or int(not all(job.finished or job.spec.name in self.cut for job in self.jobs))
+        """0 if all specs ran, to the end or until cut, else 1; after a stop 128 + signal, or 124 for the time limit."""
+        whole = all(job.finished or job.spec.name in self.cut for job in self.jobs)
+        return self.stop_code or int(not whole or bool(self.suite.refused))
 
 
 class Shares(Feed[RunJob]):
@@ -123,6 +125,39 @@ def _steps(jobs: Iterable[RunJob]) -> int:
     return sum(job.spec.training.steps for job in jobs)
 
 
+def fitted(suite: Suite, jobs: int = 1) -> Suite:
+    """The suite without settings of its files that an override's agent cannot use, and without specs that cannot run.
+
+    Raises:
+        KarolosError: no spec can run, or one cannot without overrides, either.
+    """
+    specs, refused = list[Spec](), dict(suite.refused)
+    for spec in suite.specs:
+        try:
+            specs.append(_fitted(spec, jobs))
+        except (UsageError, PluginError) as error:
+            refused[spec.name] = error
+            if suite.written[spec.name] == spec or len(refused) == len(suite.written):
+                raise
+    return replace(suite, specs=tuple(specs), refused=refused)
+
+
+def _fitted(spec: Spec, jobs: int) -> Spec:
+    try:
+        check_parts(spec, jobs)
+    except UsageError as error:
+        setting, origins = error.setting, spec.origins
+        causes = [at for key, at in origins.items() if setting and f"{key}.".startswith(f"{setting}.")]
+        own = any(at.startswith("override ") for at in causes)
+        if own or not causes or not origins["agent.name"].startswith("override "):
+            raise
+        less = spec_without(spec, str(setting))
+        if less == spec:
+            raise
+        return _fitted(less, jobs)
+    return spec
+
+
 def train(
     suite: Suite,
     runs: str | Path = "runs",
@@ -137,7 +172,7 @@ def train(
     """Train every spec, once per seed.
 
     Args:
-        suite: with its specs.
+        suite: with its specs, `fitted`.
         runs: folder of the run folders.
         database: SQLAlchemy URL of the results database.
         jobs: runs at the same time, each in its own process; None: one, or with another launcher than `local` as many
@@ -148,7 +183,7 @@ def train(
         listener: is called with every RunEvent.
 
     Raises:
-        UsageError: the parts of a spec do not fit together, or the specs name different launchers.
+        UsageError: the specs name different launchers.
         RunError: another process has a seed of a spec, and `existing` is not "ignore".
         MachineError: the runs folder cannot be written, or processes cannot be started.
         StoreError: the database cannot be used.
@@ -157,7 +192,6 @@ def train(
     for spec in suite.specs:
         if spec.launcher != first.launcher:
             raise UsageError(f"{first.name} and {spec.name} name different launchers", hint="give one with --on")
-        check_parts(spec, jobs or 1)
     with ExitStack() as stack:
         driver = stack.enter_context(driving(first, jobs, listener, time_limit))
         found = SuiteRuns(suite, [])

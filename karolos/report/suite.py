@@ -114,4 +114,7 @@ def write_report(report: SuiteReport, path: Path) -> None:
     beside = f", beside {report.beside}" if report.beside else ""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
-    write_whole(path, document(f"Suite: {report.name}", f"{report.label}{beside}", sections, report.warnings))
+    write_whole(
+        path,
+        document(f"Suite: {report.name}", f"{report.label}{beside}", sections, [*report.left_out, *report.warnings]),
+    )

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from math import atan2, dist, inf, sqrt
 from operator import mul, truediv
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -154,7 +154,7 @@ class Arm:
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
-        mode = self.settings.control or needs.control
+        self.mode = mode = self.settings.control or needs.control
         self.mujoco_only = ("robot.control",) * (mode == "impedance")
         self.mujoco_only += ("robot.gripper",) * isinstance(self._grip, Cup)
         self._control: Control = CONTROLS[mode](self)
@@ -198,6 +198,40 @@ class Arm:
     def action(self) -> Layout:
         gripper = (Field("gripper_opening", 1, kind="scalar"),) if self._commanded else ()  # -1 closed, 1 open
         return Layout((*self._control.action, *gripper))
+
+    def facts(self) -> dict[str, Any]:
+        """What a controller has to know to run a policy: JSON-able, SI units, in the world's frame."""
+        settings, limits, scales = self.settings, self.limits, self._control.scales
+        names = [limits.name(joint) for joint in range(self.chain.size)]
+        columns = (names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
+        keys = ("name", "lower", "upper", "velocity", "acceleration", "effort", "home")
+        rows = zip(*columns, self.home_joints, strict=True)
+        joints = [dict(zip(keys, row, strict=True)) for row in rows]
+        action = [
+            {"name": field.name, "size": field.size}
+            | (dict(zip(("unit", "scale"), scales[field.name], strict=True)) if field.name in scales else {})
+            for field in self.action.fields
+        ]
+        facts: dict[str, Any] = {"rate": 1 / self.period, "control": self.mode, "action": action, "joints": joints}
+        facts["moved"] = "joints" if self.turns_joints else "set point" if self.mode == "impedance" else "tool"
+        facts |= {"base": self.base, "workspace": [self.workspace.low, self.workspace.high]}
+        facts |= {"tool_speed": self.tool_speed} if self.tool_speed < inf else {}
+        if self.mode in ("pose", "impedance"):
+            facts["frame"] = settings.frame
+        if self.mode == "impedance":
+            spring = (
+                "stiffness",
+                "turn_stiffness",
+                "damping_ratio",
+                "error_limit",
+                "turn_error_limit",
+                "stiffness_range",
+            )
+            facts["spring"] = {key: getattr(settings, key) for key in spring}
+        if self._commanded:
+            width = self._grip.width if isinstance(self._grip, Gripper) else None
+            facts["gripper"] = {"closed": -1, "open": 1, "width": width}
+        return facts
 
     @property
     def measures(self) -> tuple[Measure, ...]:

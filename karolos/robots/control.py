@@ -90,6 +90,17 @@ class Control:
     def __init__(self, arm: Arm) -> None:
         self.arm = arm
 
+    @property
+    def scales(self) -> dict[str, tuple[str, list[float]]]:
+        """What an action of 1 changes in a control step at the most: field of `action` -> unit, and each column's."""
+        arm = self.arm
+        return {
+            "joint_changes": ("rad", list(arm.joint_step)),
+            "tool_position_change": ("m", [arm.tool_step] * 3),
+            "yaw_change": ("rad", [arm.settings.yaw_step]),
+            "tool_turn": ("rad", [arm.settings.turn_step] * 3),
+        }
+
     def build(self) -> None:
         """Set up the motors of a loaded arm."""
 

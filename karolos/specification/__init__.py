@@ -1,6 +1,6 @@
 """Specs: from YAML or a dictionary to a validated, frozen and hashed description of an experiment."""
 
-from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant
+from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant, spec_without
 from .merge import parse_settings
 from .model import Spec, TestingSettings, TrainingSettings
 from .parts import Part, Recipe
@@ -21,5 +21,6 @@ __all__ = [
     "spec_from_dict",
     "spec_of_trial",
     "spec_of_variant",
+    "spec_without",
     "to_yaml",
 ]

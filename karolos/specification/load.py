@@ -20,6 +20,7 @@ from .merge import (
     nested,
     normalised,
     override_trees,
+    segments,
     with_shared_settings,
 )
 from .model import NAME_PATTERN, Spec
@@ -154,6 +155,22 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
             mark = Mark(origins.get(f"{place}.{key}", origins.get(place, place)))
             overrides.append(nested(key, from_plain(value, mark)))
     return _resolve(_with_runs(base, name, seeds, Mark(f"variant {variant}")), overrides, [], None)
+
+
+def spec_without(spec: Spec, setting: str) -> Spec:
+    """The spec without a setting, a block or a part that was given: what is left has its default."""
+    tree = _removed(from_plain(spec.given(), Mark("dict")), segments(setting))
+    found = _resolve(tree, [], [], None)
+    found._text = spec.text
+    found._origins = {path: spec.origins.get(path, str(DEFAULT)) for path in found.origins}
+    return found
+
+
+def _removed(tree: Node, path: Sequence[str]) -> Node:
+    entries = dict(tree.mapping or {})
+    if below := entries.pop(path[0], None) if len(path) == 1 else entries.get(path[0]):
+        entries |= {path[0]: _removed(below, path[1:])} if len(path) > 1 else {}
+    return Node(entries, tree.at, tree.key)
 
 
 def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Node:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +14,7 @@ from pydantic import Field as Setting
 from pydantic import ValidationError
 
 from ..core import Settings
-from ..errors import Problem, SpecError
+from ..errors import KarolosError, Problem, SpecError
 from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
 from .load import load_spec
 from .merge import nested
@@ -45,6 +47,28 @@ class Suite:
     name: str
     specs: tuple[Spec, ...]
     measures: tuple[str, ...] = ()
+    written: Mapping[str, Spec] = field(default_factory=dict)
+    """The specs without the overrides, by name."""
+    refused: Mapping[str, KarolosError] = field(default_factory=dict)
+    """Names of specs that cannot run with the overrides -> why."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the overrides leave out: settings that files give and that have no place now, and whole specs."""
+        dropped = defaultdict[str, list[str]](list)
+        for spec in self.specs:
+            if lost := ", ".join(_lost(self.written[spec.name].given(), spec.given())):
+                dropped[lost].append(spec.name)
+        lines = [f"{', '.join(names)}: without {lost}" for lost, names in dropped.items()]
+        return (*lines, *(f"{name} is left out: {why}" for name, why in self.refused.items()))
+
+
+def _lost(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> Iterator[str]:
+    for key, value in before.items():
+        if key not in now:
+            yield path + key
+        elif isinstance(value, Mapping) and isinstance(now[key], Mapping):
+            yield from _lost(value, now[key], f"{path}{key}.")
 
 
 def is_suite(path: str | Path) -> bool:
@@ -57,6 +81,9 @@ def is_suite(path: str | Path) -> bool:
 
 def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     """The suite in a YAML file. `overrides` hold for every spec, above what the suite says.
+
+    An agent that needs the other kind of buffer, and no override names one, gets `on_policy` or `uniform`. A spec that
+    an override makes invalid is `refused`, if another one is valid.
 
     Raises:
         SpecError: the suite or a spec is invalid; carries every problem found, at file:line:column.
@@ -74,22 +101,41 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     except ValidationError as error:
         refuse(located_problems(error, tree, SuiteFile))
         raise
-    specs: dict[str, Spec] = {}
+    specs, written, refused = dict[str, Spec](), dict[str, Spec](), dict[str, SpecError]()
     problems: dict[str, Problem] = {}
+    overrides = list(overrides)
     for place in range(len(found.specs)):
         entry = tree["specs"][place]
         above = [*_trees(tree.get("overrides")), *_trees(entry.get("overrides"))]
         try:
-            spec = load_spec(_file_of(entry["spec"]), overrides, above)
+            file = _file_of(entry["spec"])
+            spec = plain = load_spec(file, (), above)
+            try:
+                spec = _overridden(file, overrides, above) if overrides else plain
+            except SpecError as error:
+                refused[plain.name] = error
             if spec.name in specs:
                 what, hint = f"two specs are called {spec.name}", "give one of them overrides: {name: ...}"
                 refuse([Problem(entry.at, f"specs[{place}]", what, hint)])
-            specs[spec.name] = spec
+            specs[spec.name], written[spec.name] = spec, plain
         except SpecError as error:
-            problems |= {str(problem): problem for problem in error.problems}  # that of all specs is said once
-    if problems:
+            problems |= {str(problem): problem for problem in error.problems}
+    specs = {name: spec for name, spec in specs.items() if name not in refused}
+    if problems or not specs:
+        problems |= {str(problem): problem for each in refused.values() for problem in each.problems}  # of all: once
         raise SpecError(list(problems.values()))
-    return Suite(found.name, tuple(specs.values()), found.measures)
+    return Suite(found.name, tuple(specs.values()), found.measures, written, refused)
+
+
+def _overridden(file: str, overrides: list[str], above: list[Node]) -> Spec:
+    try:
+        return load_spec(file, overrides, above)
+    except SpecError as error:
+        if any(problem.setting == "buffer" for problem in error.problems):
+            for name in () if any(one.startswith("buffer") for one in overrides) else ("on_policy", "uniform"):
+                with suppress(SpecError):
+                    return load_spec(file, [*overrides, f"buffer={name}"], above)
+        raise
 
 
 def _file_of(given: Node) -> str:

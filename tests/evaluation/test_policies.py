@@ -17,6 +17,8 @@ from karolos.errors import MachineError, RunError, UsageError
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
 from karolos.evaluation.policies import expert_policy, has_window, load_agent, load_expert, random_policy, signature_of
+from karolos.export import NumpyPolicy
+from karolos.export.export import export_policy
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.registry import load
@@ -89,6 +91,18 @@ def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder:
 
     assert totals() == totals()
     assert len(set(totals())) > 8, "the point moves"
+
+
+def test_a_number_that_is_not_finite_is_refused_by_its_name(folder: RunFolder, tmp_path: Path) -> None:
+    saved = load_agent(folder, "last")
+    export_policy(folder, tmp_path, checkpoint="last", onnx=False)
+    for values in (np.array([0, np.nan]), np.array([[0, 0], [0, -np.inf]])):
+        with pytest.raises(UsageError, match=r"act: observation\[1\], which is position\[1\], is not finite"):
+            saved.act(values, np.zeros_like(values))
+        with pytest.raises(UsageError, match=r"goal\[1\]"):
+            saved.act(np.zeros_like(values), values)
+        with pytest.raises(ValueError, match=r"desired_goal\[1\] is not finite"):
+            NumpyPolicy(tmp_path / "policy.npz")(np.zeros_like(values), values)
 
 
 def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:

@@ -25,7 +25,7 @@ from support.transfer_samples import LINE
 from karolos.comparison import compare
 from karolos.comparison.scores import reaching
 from karolos.comparison.suite import Entry, SuiteReport, suite_report
-from karolos.errors import SpecError
+from karolos.errors import KarolosError, SpecError
 from karolos.experiment.events import RunStarted
 from karolos.launchers import suite as training
 from karolos.launchers.runs import Home, RunJob
@@ -93,6 +93,10 @@ def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_th
         assert row["beside"]["runs"] == before["runs"]
         assert row["improvement"]["probability"] == 0.5
         assert {key: row[key] for key in SAME} == {key: before[key] for key in SAME}
+    short = trained(monkeypatch, "training.steps=150", "agent=td3", "--beside", "undisturbed")[0]
+    assert all(abs(row["beside"]["steps"] - row["steps"]) <= 15 for row in short)
+    page = Path("runs/suites/mine-seeds-0-training.steps-150-agent-td3/report.html").read_text()
+    assert "undisturbed has other settings: agent, training.steps" in page
     page = Path("runs/suites/mine-seeds-0/report.html").read_text()
     assert f'href="../../{again[1]["runs"][0]}"' in page
 
@@ -106,9 +110,10 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     found = [str(problem).split(": ")[:2] for problem in refused.value.problems]
     assert found == [
         ["fast.yaml:3:20", "agent.discont"],
-        ["override training.steps=0", "training.steps"],
         ["mine.yaml:3:5", "specs"],
         ["mine.yaml:4:56", "agent.learning_rate"],
+        ["mine.yaml:6:5", "specs[4]"],
+        ["override training.steps=0", "training.steps"],
     ]
     Path("mine.yaml").write_text("specs:\n  - {spec: slow.yaml, steps: 4}\nmeasure: [x]\n")
     with pytest.raises(SpecError) as refused:
@@ -117,6 +122,32 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     Path("mine.yaml").write_text("specs: [slow.yaml, slow.yaml]\n")
     with pytest.raises(SpecError, match=r"^mine.yaml:1:20: specs\[1\]: two specs are called slow; give"):
         load_suite("mine.yaml")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "left", "said"),
+    [
+        (
+            ["agent=ppo"],
+            ["panda_push", "ur5_insert_demos", "bit_flip"],
+            ("hindsight", "demonstrations", "replay_ratio"),
+        ),
+        (["agent=dqn"], ["bit_flip"], ("panda_push is left out: override agent=dqn: agent: dqn chooses one",)),
+        (["agent=dqn", "environment.actions=discrete"], ["panda_push", "ur5_insert_demos"], ("bit_flip is left out",)),
+    ],
+)
+def test_what_an_agent_cannot_use_is_left_out_and_named(
+    overrides: list[str], left: list[str], said: tuple[str, ...], tmp_path: Path
+) -> None:
+    path = tmp_path / "mine.yaml"
+    path.write_text("specs: [panda_push, ur5_insert_demos, bit_flip]\n")
+    found = training.fitted(load_suite(path, overrides))
+    assert [spec.name for spec in found.specs] == left
+    for words in said:
+        assert words in "\n".join(found.notes)
+    assert SuiteRuns(found, []).exit_code == bool(found.refused)
+    with pytest.raises(KarolosError, match="takes 7 continuous numbers"):
+        training.fitted(load_suite("all_tasks", ["agent=dqn", "buffer.hindsight.imitate=true"]))
 
 
 @pytest.mark.parametrize(
