@@ -8,25 +8,21 @@ from __future__ import annotations
 
 import _thread
 import errno
-import mmap
-import multiprocessing
 import os
-import secrets
 import select
-import shutil
 import signal
-import socket
 import sys
-import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
-from multiprocessing import connection, reduction
-from multiprocessing.context import BaseContext
 from pathlib import Path
 from types import FrameType
-from typing import Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+if TYPE_CHECKING:
+    import socket
+    from multiprocessing.context import BaseContext
 
 LINUX, MACOS, WINDOWS = (sys.platform == name for name in ("linux", "darwin", "win32"))
 """Read when a function is called, so that tests can imitate another system."""
@@ -50,6 +46,8 @@ CLOSED_PIPE = (errno.EPIPE, errno.EINVAL) if WINDOWS else (errno.EPIPE,)
 
 def process_context() -> BaseContext:
     """The context of multiprocessing in which worker processes start. macOS' own libraries are not safe to fork."""
+    import multiprocessing
+
     return multiprocessing.get_context("forkserver" if LINUX else "spawn")
 
 
@@ -300,6 +298,8 @@ RENDERER_HINT = (
 
 def listen_alone(listener: socket.socket) -> None:
     """Let no other program listen on the same port, and let the next one listen as soon as this one has ended."""
+    import socket
+
     exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR if exclusive is None else exclusive, 1)
 
@@ -358,6 +358,8 @@ def remove(path: str | Path, *, missing_ok: bool = False) -> None:
 
 def remove_tree(path: str | Path, *, ignore_errors: bool = False) -> None:
     """Remove a folder and what it holds."""
+    import shutil
+
     with suppress(*([OSError] if ignore_errors else [])):
         _patiently(lambda: shutil.rmtree(path))
 
@@ -404,7 +406,7 @@ def _share_in(path: Path, mounts: Path) -> str | None:
 
 def _share_by_statfs(path: Path) -> str | None:
     """As `network_share` on macOS. Source: sys/mount.h, struct statfs with 64-bit inodes: f_flags, f_fstypename."""
-    import ctypes  # noqa: PLC0415
+    import ctypes
 
     found = (ctypes.c_char * 4096)()
     call = getattr(ctypes.CDLL(None), "statfs", None)
@@ -442,6 +444,8 @@ class Poller(Generic[T]):
         """The items whose connections can be read; waits up to `seconds` for one."""
         if self._poll is not None:
             return [self._items[number][1] for number, _ in self._poll.poll(1e3 * seconds)]
+        from multiprocessing import connection
+
         try:
             found = connection.wait([one for one, _ in self._items.values()], seconds)
         except InterruptedError:  # Ctrl-C on Windows: its handler has run
@@ -453,6 +457,10 @@ class SharedMemory:
     """Memory that other processes can map. The system frees it with the last process that holds it."""
 
     def __init__(self, size: int) -> None:
+        import mmap
+        import secrets
+        import tempfile
+
         self._descriptor, self._name = -1, f"karolos-{os.getpid()}-{secrets.token_hex(8)}"
         self.buffer: Any
         if sys.platform == "win32":
@@ -471,11 +479,16 @@ class SharedMemory:
         if sys.platform == "win32":
             one.send(self._name)
         else:
+            from multiprocessing import reduction
+
             reduction.send_handle(one, self._descriptor, 0)
 
     @staticmethod
     def receive(one: Any, size: int) -> Any:
         """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
+        import mmap
+        from multiprocessing import reduction
+
         if sys.platform == "win32":
             return mmap.mmap(-1, size, tagname=one.recv())
         descriptor = reduction.recv_handle(one)

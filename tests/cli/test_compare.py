@@ -250,7 +250,8 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     add_run(runs, 1, experiment=B)
     add_run(runs, 0, (), name="new", experiment="c3" * 32, state="created")
     err = refused("compare", "reach", *there)
-    assert f"reach means 2 experiments, whose specs differ; name one by its hash: {A[:12]}, {B[:12]}" in err
+    differ = "whose specs differ, or files that they name"
+    assert f"reach means 2 experiments, {differ}; name one by its hash: {A[:12]}, {B[:12]}" in err
     err = refused("compare", "reach", "new", *there, "--label", "with", "--label", "without")
     assert err.startswith("reach means 2 experiments")
     assert "means no run" in refused("compare", "nothing", *there)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor, nn
 
+from karolos.agents import Normaliser
 from karolos.core import Agent, AgentSettings, Batch, Discrete, FloatArray, Signature, State
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -29,12 +30,13 @@ class ActorCritic(Agent):
     class Settings(AgentSettings):
         learning_rate: float = Setting(1e-3, gt=0, description="of both networks (Adam)")
         discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
-        hidden: int = Setting(64, ge=1, description="units of each of the two hidden layers")
+        hidden: int = Setting(128, ge=1, description="units of each of the two hidden layers")
         tau: float = Setting(0.05, gt=0, le=1, description="step of the target networks per update (Polyak averaging)")
         noise: float = Setting(0.3, ge=0, description="standard deviation of the noise on exploring actions")
 
     on_policy: ClassVar[bool] = False
-    learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target_critic")
+    networks: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target_critic")
+    learned: ClassVar[tuple[str, ...]] = (*networks, "normaliser")
     shaping: ClassVar[tuple[str, ...]] = ("hidden",)
 
     def __init__(
@@ -45,13 +47,14 @@ class ActorCritic(Agent):
         self.settings, self.device, self.discount = settings, torch.device(device), settings.discount
         self.seen = signature.observation.acting.size  # the columns behind them are for critics alone
         inputs, actions = self.seen + signature.desired_goal.size, signature.action.size
+        self.normaliser = Normaliser(inputs, device)  # observations and goals arrive in metres, radians, newtons
         generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         self.policy = nn.Sequential(network((inputs, settings.hidden, actions), generator), nn.Tanh()).to(device)
         self.critic = network((inputs + actions, settings.hidden, 1), generator).to(device)
         self.target_policy, self.target_critic = deepcopy(self.policy), deepcopy(self.critic)
         self.optimisers = {
-            "policy": torch.optim.Adam(self.policy.parameters(), settings.learning_rate),
-            "critic": torch.optim.Adam(self.critic.parameters(), settings.learning_rate),
+            "policy": torch.optim.Adam(self.policy.parameters(), settings.learning_rate, fused=True),
+            "critic": torch.optim.Adam(self.critic.parameters(), settings.learning_rate, fused=True),
         }
         self.generator = torch.Generator().manual_seed(seeds.child("noise").integer())
 
@@ -71,6 +74,7 @@ class ActorCritic(Agent):
         return action.numpy()
 
     def learn(self, batch: Batch) -> Mapping[str, Any]:
+        self.normaliser.update(self._tensor(batch.observation[..., : self.seen], batch.desired_goal))
         inputs = self._inputs(batch.observation, batch.desired_goal)
         next_inputs = self._inputs(batch.next_observation, batch.desired_goal)
         action, reward, weight = (self._tensor(array) for array in (batch.action, batch.reward, batch.weight))
@@ -102,7 +106,7 @@ class ActorCritic(Agent):
         self.optimisers[name].step()
 
     def _inputs(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
-        return self._tensor(observation[..., : self.seen], desired_goal)
+        return self.normaliser(self._tensor(observation[..., : self.seen], desired_goal))
 
     def _tensor(self, *columns: FloatArray) -> Tensor:
         return torch.from_numpy(np.concatenate(columns, -1, dtype=np.float32)).to(self.device)
@@ -110,14 +114,16 @@ class ActorCritic(Agent):
     def state(self) -> State:
         return deepcopy(
             {
-                **{name: dict(getattr(self, name).state_dict()) for name in self.learned},
+                **{name: dict(getattr(self, name).state_dict()) for name in self.networks},
+                "normaliser": self.normaliser.state(),
                 "optimisers": {name: optimiser.state_dict()["state"] for name, optimiser in self.optimisers.items()},
                 "generator": self.generator.get_state(),
             }
         )
 
     def load_state(self, state: State) -> None:
-        for name in self.learned:
+        self.normaliser.load_state(state["normaliser"])
+        for name in self.networks:
             try:
                 getattr(self, name).load_state_dict(state[name])
             except RuntimeError as error:
