@@ -31,7 +31,7 @@ def find_spec(given: str | Path) -> tuple[Path, str]:
     A file of this name comes first. Without one, panda_reach or panda_reach.yaml means the shipped spec of that name;
     karolos:panda_reach always does. The file of an unknown name is missing, which reading it reports.
     """
-    text = os.fspath(given)
+    text = given.as_posix() if isinstance(given, Path) else given
     name = text.removeprefix(SHIPPED).removesuffix(".yaml")
     if text.startswith(SHIPPED) or not os.path.isfile(text):
         found = shipped_specs().get(name)

@@ -45,6 +45,11 @@ def test_list_takes_a_filter(runs: Path) -> None:
         call("list", "task=")
 
 
+def test_only_what_runs_can_be_stopped(runs: Path) -> None:
+    with pytest.raises(UsageError, match="is finished: there is nothing to stop"):
+        call("stop", add_run(runs, 0))
+
+
 def test_csv_has_all_columns_and_no_formulas(runs: Path) -> None:
     first = add_run(runs, 0)
     call("tag", "--", first, "=1+1", "-x")

@@ -55,6 +55,17 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
 
+def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path: Path) -> None:
+    def ask(event: object) -> None:
+        if isinstance(event, RunStarted) and event.seed == 0:
+            Path(event.folder, "stop").write_text("karolos runs stop", "utf-8")
+
+    runs = Experiment({**REACH, "seeds": [0, 1]}).run(tmp_path, listener=ask).runs
+    assert [run.state for run in runs] == ["stopped", "finished"]
+    assert RunFolder.open(runs[0].folder).events()[-1]["reason"] == "karolos runs stop"
+    assert not list(tmp_path.glob("*/stop"))
+
+
 def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None:
     events: list[object] = []
     run(tmp_path, listener=events.append)
