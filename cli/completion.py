@@ -11,6 +11,7 @@ from pathlib import Path
 import typer
 
 import karolos
+from karolos.files import SPECS
 
 PACKAGE = Path(karolos.__file__).parent
 PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "launcher")
@@ -18,10 +19,10 @@ PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "lau
 
 def complete_spec(incomplete: str) -> list[str]:
     """Specs that ship, and YAML files here and one folder below."""
-    shipped = (path.relative_to(PACKAGE / "specs").with_suffix("") for path in PACKAGE.glob("specs/**/*.yaml"))
+    shipped = (path.relative_to(SPECS).with_suffix("").as_posix() for path in SPECS.glob("**/*.yaml"))
     start = glob.escape(incomplete)
     files = (name for deep in ("*", "*/*") for end in ("yaml", "yml") for name in glob.glob(f"{start}{deep}.{end}"))
-    return _beginning(incomplete, [*map(str, shipped), *files])
+    return _beginning(incomplete, [*shipped, *files])
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:

@@ -22,6 +22,8 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from . import system
 from .errors import KarolosError, MachineError, UsageError
 
+SPECS = next(path for up in (0, 1) if (path := Path(__file__).parents[up] / "specs").is_dir())
+"""Folder of the specs that ship: of the installed package, or of a checkout."""
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02

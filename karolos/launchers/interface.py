@@ -18,7 +18,7 @@ class Ended(NamedTuple):
 
     folder: Path
     problem: str | None = None
-    """Why it did not reach an end of its own, e.g. "its process was killed by signal 9". None: it did."""
+    """Why it did not reach an end of its own, e.g. "its process was killed by SIGKILL". None: it did."""
     died: bool = False
     """Whether its process died, so that another one may go on."""
 

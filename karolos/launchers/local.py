@@ -65,7 +65,7 @@ class RunProcess:
         return Ended(folder, json.loads(answer)) if ready and folder else None
 
     def cause(self) -> str:
-        """How the process ended, e.g. "was killed by signal 9"."""
+        """How the process ended, e.g. "was killed by SIGKILL"."""
         code = self.child.wait()
         return f"was killed by {name}" if (name := ended_by(code)) else f"ended with exit code {code}"
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import Problem, UsageError
+from ..files import SPECS
 from ..registry import closest
 from .merge import merged, normalised
 from .nodes import Mark, Node, refuse, shown, variable_problems
@@ -15,8 +16,6 @@ from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
 
 SHIPPED = "karolos:"
 """Beginning of the names of the specs that ship with karolos, e.g. karolos:bases/sac_grasp.yaml."""
-SPECS = next(path for up in (1, 2) if (path := Path(__file__).parents[up] / "specs").is_dir())
-"""Of the installed package, or of a checkout."""
 SPEC_SUFFIXES = (".yaml", ".yml")
 
 

@@ -9,6 +9,7 @@ from subprocess import PIPE, Popen
 
 import pytest
 
+from karolos import system
 from karolos.core import compiled
 
 CALLED = "from karolos.core.compiled import compiled\n@compiled\ndef one(): return {}\n"
@@ -78,7 +79,8 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_tempor
 )
 def test_caches_lie_where_the_platform_keeps_them(tmp_path, monkeypatch, platform, variables, folder):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(system, "MACOS", platform == "darwin")
+    monkeypatch.setattr(system, "WINDOWS", platform == "win32")
     monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
     monkeypatch.setattr(compiled.tempfile, "TemporaryFile", lambda dir: open(os.devnull))  # noqa: SIM115
     monkeypatch.setenv("HOME", str(tmp_path / "home"))

@@ -39,10 +39,10 @@ def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path: Path) -
 
     outcome = Experiment(spec).run(tmp_path, jobs=2, listener=listen, check=False)
     assert [(run.seed, run.state) for run in outcome.runs] == [(0, "lost"), (1, "lost")]
-    assert all(run.error == "its process was killed by signal 9" for run in outcome.runs)
+    assert all(run.error == "its process was killed by SIGKILL" for run in outcome.runs)
     assert outcome.exit_code == 1
-    assert {(event.state, event.error) for event in ended} == {("lost", "its process was killed by signal 9")}
-    with pytest.raises(RunError, match="its process was killed by signal 9"):
+    assert {(event.state, event.error) for event in ended} == {("lost", "its process was killed by SIGKILL")}
+    with pytest.raises(RunError, match="its process was killed by SIGKILL"):
         outcome.check()
 
 

@@ -72,7 +72,7 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
         launcher.start(killed.path)
         await_tests(killed)
         os.kill(process, signal.SIGKILL)
-        assert launcher.wait(SECONDS) == (killed.path, "its process was killed by signal 9", True)
+        assert launcher.wait(SECONDS) == (killed.path, "its process was killed by SIGKILL", True)
         assert killed.state().state == "lost"
         assert launcher.room(1) == 0, "another process begins"
         assert set(child_processes()) - before - {process}
