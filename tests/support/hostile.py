@@ -1,4 +1,7 @@
-"""A gymnasium environment that misbehaves in the method, and in the way, that its argument says, e.g. "step:exit"."""
+"""A gymnasium environment that misbehaves in the method, and in the way, that its argument says, e.g. "step:exit".
+
+"late step:exit" does so after some calls, and not yet when a spec is checked.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +9,7 @@ import os
 import signal
 import sys
 import time
+from collections import Counter
 from typing import Any
 
 import gymnasium
@@ -16,6 +20,9 @@ METHODS = ("init", "reset", "step", "close")
 KINDS = ("raise", "exit", "interrupt", "quirky", "hang", "die", "print", "nan", "none", "text", "shape", "leak", "deep")
 """nan to shape: what `reset` and `step` observe."""
 STEPS = 10
+LATE = {"init": 4, "reset": 4, "step": 30, "close": 4}
+CALLS: Counter[str] = Counter()
+"""How often each method was called, in environments that were built again, too."""
 
 
 class QuirkyError(Exception):
@@ -36,10 +43,12 @@ class Hostile(gymnasium.Env[Any, Any]):
         self.observation_space = Box(-np.inf, np.inf, (2,), np.float32)
         self.action_space: Any = Discrete(10**9) if trouble == "discrete" else Box(-1, 1, (1,), np.float32)
         self._leaked: list[bytearray] = []
+        self._episodes = 0
         self._seen("init")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         self._steps = 0
+        self._episodes += 1
         return self._seen("reset"), {}
 
     def step(self, action: Any) -> Any:
@@ -51,7 +60,10 @@ class Hostile(gymnasium.Env[Any, Any]):
 
     def _seen(self, method: str) -> Any:
         """Make the trouble of a method, or give an observation."""
-        kind = self._kind if method == self._method else ""
+        CALLS[method] += 1
+        seen = self._episodes > 1 or self._kind not in ("nan", "none")  # a new one's first episode is checked
+        late = self._method == f"late {method}" and CALLS[method] > LATE[method] and seen
+        kind = self._kind if late or method == self._method else ""
         if kind == "raise":
             raise ZeroDivisionError("the inertia is zero\nand a second line")
         if kind == "exit":
@@ -79,6 +91,7 @@ gymnasium.register("Hostile-v0", entry_point=Hostile, max_episode_steps=STEPS)
 
 def spec(trouble: str, processes: int = 0) -> dict[str, Any]:
     """An experiment in it that takes a fraction of a second."""
+    CALLS.clear()
     return {
         "name": "hostile",
         "environment": {"name": "gymnasium", "id": f"{__name__}:Hostile-v0", "kwargs": {"trouble": trouble}},

@@ -9,20 +9,19 @@ import pytest
 from support.hostile import spec
 
 from karolos.errors import PluginError, UsageError
-from karolos.experiment.signals import TimeIsUpError
 from karolos.launchers.experiment import Experiment
 
 
 @pytest.mark.parametrize(
     ("trouble", "said"),
     [
-        ("reset:raise", "ZeroDivisionError: the inertia is zero"),
-        ("reset:exit", "SystemExit: 0"),
-        ("step:exit", "SystemExit: 0"),
-        ("step:quirky", "QuirkyError"),
-        ("step:deep", "RecursionError"),
-        ("step:none", "training.diverging"),
-        ("step:nan", r"training.diverging: \d+ of \d+ training episodes diverged until \d+ steps"),
+        ("late reset:raise", "ZeroDivisionError: the inertia is zero"),
+        ("late reset:exit", "SystemExit: 0"),
+        ("late step:exit", "SystemExit: 0"),
+        ("late step:quirky", "QuirkyError"),
+        ("late step:deep", "RecursionError"),
+        ("late step:none", "training.diverging"),
+        ("late step:nan", r"training.diverging: \d+ of \d+ training episodes diverged until \d+ steps"),
     ],
 )
 def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path: Path, trouble: str, said: str) -> None:
@@ -39,15 +38,16 @@ def test_an_environment_that_cannot_be_closed_costs_a_line(
     assert "warning: Gymnasium.close failed" in capfd.readouterr().err
 
 
-def test_what_cannot_be_built_is_refused_before_there_is_a_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("karolos.experiment.signals.HANG_SECONDS", 0.1)
+def test_what_cannot_be_built_or_begun_is_refused_before_there_is_a_run(tmp_path: Path) -> None:
     for trouble, error in (
         ("init:exit", PluginError),
         ("init:raise", UsageError),
         ("init:quirky", UsageError),
         ("discrete", UsageError),
-        ("init:hang", TimeIsUpError),
+        ("reset:raise", PluginError),
+        ("step:nan", PluginError),
     ):
         with pytest.raises(error):
-            Experiment(spec(trouble)).run(tmp_path, time_limit=0.1)
+            Experiment(spec(trouble)).run(tmp_path)
+    assert Experiment(spec("init:hang")).run(tmp_path, time_limit=0.1).exit_code == 124
     assert not list(tmp_path.glob("hostile-*"))
