@@ -25,7 +25,9 @@ from karolos.launchers.experiment import Experiment
     ],
 )
 def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path: Path, trouble: str, said: str) -> None:
-    outcome = Experiment(spec(trouble)).run(tmp_path, check=False)
+    hostile = spec(trouble)
+    hostile["training"]["steps"] = 400
+    outcome = Experiment(hostile).run(tmp_path, check=False)
     assert (outcome.runs[0].state, outcome.exit_code) == ("failed", 1)
     assert re.search(said, str(outcome.runs[0].error))
 
