@@ -43,12 +43,10 @@ class Hostile(gymnasium.Env[Any, Any]):
         self.observation_space = Box(-np.inf, np.inf, (2,), np.float32)
         self.action_space: Any = Discrete(10**9) if trouble == "discrete" else Box(-1, 1, (1,), np.float32)
         self._leaked: list[bytearray] = []
-        self._episodes = 0
         self._seen("init")
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         self._steps = 0
-        self._episodes += 1
         return self._seen("reset"), {}
 
     def step(self, action: Any) -> Any:
@@ -61,8 +59,7 @@ class Hostile(gymnasium.Env[Any, Any]):
     def _seen(self, method: str) -> Any:
         """Make the trouble of a method, or give an observation."""
         CALLS[method] += 1
-        seen = self._episodes > 1 or self._kind not in ("nan", "none")  # a new one's first episode is checked
-        late = self._method == f"late {method}" and CALLS[method] > LATE[method] and seen
+        late = self._method == f"late {method}" and CALLS[method] > LATE[method]
         kind = self._kind if late or method == self._method else ""
         if kind == "raise":
             raise ZeroDivisionError("the inertia is zero\nand a second line")
