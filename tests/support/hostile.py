@@ -1,6 +1,6 @@
 """A gymnasium environment that misbehaves in the method, and in the way, that its argument says, e.g. "step:exit".
 
-"late step:exit" does so after some calls, and not yet when a spec is checked.
+"late step:exit" does so after some calls, and not yet when a spec is checked; "tail step:nan" late in each episode.
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ class Hostile(gymnasium.Env[Any, Any]):
         """Make the trouble of a method, or give an observation."""
         CALLS[method] += 1
         late = self._method == f"late {method}" and CALLS[method] > LATE[method]
+        late = late or (self._method == f"tail {method}" and self._steps > STEPS // 2)
         kind = self._kind if late or method == self._method else ""
         if kind == "raise":
             raise ZeroDivisionError("the inertia is zero\nand a second line")

@@ -20,6 +20,8 @@ from karolos.launchers.experiment import Experiment
         ("late step:exit", "SystemExit: 0"),
         ("late step:quirky", "QuirkyError"),
         ("late step:deep", "RecursionError"),
+        ("tail step:none", "training.diverging"),
+        ("tail step:nan", r"training.diverging: \d+ of \d+ training episodes diverged until \d+ steps"),
     ],
 )
 def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path: Path, trouble: str, said: str) -> None:
