@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.run_commands import add_run
+from support.run_samples import add_run
 
 HEAVY = (
     "alembic",

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from support.rig import ENGINES
+from support.run_samples import stored
 from support.states import assert_same_runs
-from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, UsageError

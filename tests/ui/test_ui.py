@@ -15,8 +15,7 @@ from karolos_cli.ui import ui
 from starlette.testclient import TestClient
 from support.commands import call
 from support.compared_runs import EVIL
-from support.run_commands import add_run
-from support.store_samples import bare
+from support.run_samples import add_run, bare
 from support.sweep_samples import some_trial, write_sweep
 from typer import Typer
 
@@ -44,7 +43,7 @@ def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path: Pat
     assert "karolos run panda_reach" in page.get("/").text  # what to do next
     for seed in (0, 1):
         add_run(tmp_path, seed)
-    other = add_run(tmp_path, 0, 0.1, name="slide")
+    other = add_run(tmp_path, 0, rate=0.1, name="slide")
     text = page.get("/").text
     assert text.count("data-row") == 2
     assert f"/runs/{other}" in text
@@ -94,7 +93,7 @@ def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path: 
 
 def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
     add_run(tmp_path, 0)
-    add_run(tmp_path, 0, 0.1, name="slide")
+    add_run(tmp_path, 0, rate=0.1, name="slide")
     page = client(tmp_path)
     store = Store(Store.default_url(tmp_path))
     one, two = (store.runs(name=name)[0].experiment for name in ("reach", "slide"))
@@ -262,7 +261,7 @@ def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
 
 def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path: Path) -> None:
     add_run(tmp_path, 0)
-    add_run(tmp_path, 1, name="reach-mine", state="stopped", solved=0)
+    add_run(tmp_path, 1, name="reach-mine", successes=(0,), state="stopped")
     store = Store(Store.default_url(tmp_path))
     [row] = experiment_rows(store, store.experiments().experiments)
     assert row.name == "reach-mine, reach"
