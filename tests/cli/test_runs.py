@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
 from functools import partial
 from pathlib import Path
@@ -198,18 +197,6 @@ def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
         assert "\x1b[2J" not in shown.output
         assert "\x1b[31m" not in shown.output
     assert "[2J[bold]x" in call("show", run, "--runs", runs).stdout
-
-
-def test_listing_imports_neither_torch_nor_an_engine(runs: Path) -> None:
-    add_run(runs, 0)
-    script = (
-        "import sys; from karolos_cli.runs import app\n"
-        "for arguments in (['list'], ['show', '@last']):\n"
-        "    app([*arguments, '--runs', sys.argv[1]], standalone_mode=False)\n"
-        "heavy = {'torch', 'pybullet', 'mujoco', 'optuna', 'scipy', 'gymnasium'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    subprocess.run([sys.executable, "-c", script, str(runs)], check=True, capture_output=True)
 
 
 def test_watch_shows_what_runs_where_until_nothing_runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

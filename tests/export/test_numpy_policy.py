@@ -40,13 +40,6 @@ def test_its_file_alone_with_numpy_is_enough(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-I", "-c", ALONE, str(alone)], cwd=tmp_path, check=True)
 
 
-def test_reading_a_policy_loads_no_heavy_library() -> None:
-    code = (
-        "import sys, karolos.export; assert not {'torch', 'pydantic', 'pybullet', 'mujoco', 'onnx'} & set(sys.modules)"
-    )
-    subprocess.run([sys.executable, "-c", code], check=True)
-
-
 @pytest.mark.parametrize("case", ["sac", "ppo", "dqn_dueling"])
 def test_the_code_in_the_documentation_acts_as_the_agent_does(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -64,13 +64,6 @@ print("main is back:", sys.modules["__main__"].MARK_OF_THE_USERS_SCRIPT)
     assert output.splitlines() == ["the script runs", str([[torch, threads, main]] * 4), "main is back: True"]
 
 
-def test_importing_the_orchestrator_imports_neither_torch_nor_an_engine(tmp_path):
-    output = run(
-        tmp_path, "print([name for name in ('torch', 'pybullet', 'mujoco', 'sqlalchemy') if name in sys.modules])"
-    )
-    assert output.strip() == "[]"
-
-
 def test_building_a_robot_and_task_imports_no_torch(tmp_path):
     output = run(
         tmp_path,
