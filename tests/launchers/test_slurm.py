@@ -7,11 +7,11 @@ import random
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 from support import fake_slurm
+from support.processes import wait_for
 from support.toy_runs import toy
 
 from karolos.errors import MachineError
@@ -58,13 +58,9 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
     runs = tmp_path / "runs"
 
     def reach_time_limit() -> None:
-        until = time.monotonic() + 120
-        while (process := process_of(slurm / "1_0")) is None and time.monotonic() < until:
-            time.sleep(0.02)
-        assert process is not None
+        process = wait_for(lambda: process_of(slurm / "1_0"))
         os.kill(process, signal.SIGUSR1)  # which kills it, because it has not begun
-        while not list(runs.glob("toy-s1-*/tests.jsonl")) and time.monotonic() < until:
-            time.sleep(0.02)
+        wait_for(lambda: list(runs.glob("toy-s1-*/tests.jsonl")))
         os.kill(int((slurm / "1_1").read_text().split()[0]), signal.SIGUSR1)
 
     limit = threading.Thread(target=reach_time_limit)
@@ -88,11 +84,7 @@ def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Pa
     assert second.wait(0.1) is None
     assert [path.name for path in slurm.iterdir()] == ["1_0"]
     folder.stop.write_text("enough")
-    until = time.monotonic() + 120
-    while (ended := second.wait(0.2)) is None and time.monotonic() < until:
-        pass
-    assert ended is not None
-    assert ended.folder == folder.path
+    assert wait_for(lambda: second.wait(0.2)).folder == folder.path
     assert folder.state().state in ("stopped", "created")
 
 

@@ -6,7 +6,6 @@ import asyncio
 import re
 import socket
 import threading
-import time
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -15,6 +14,7 @@ from karolos_cli.ui import ui
 from starlette.testclient import TestClient
 from support.commands import call
 from support.compared_runs import EVIL
+from support.processes import wait_for
 from support.run_samples import add_run, bare
 from support.sweep_samples import some_trial, write_sweep
 from typer import Typer
@@ -215,11 +215,8 @@ def test_a_film_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest
     run = add_run(tmp_path, 0)
     monkeypatch.setattr("sys.executable", "/bin/false")
     page = client(tmp_path)
-    text = page.post(f"/runs/{run}/film/failures").text
-    until = time.monotonic() + 20
-    while "is being made" in text and time.monotonic() < until:
-        text = page.get(f"/runs/{run}").text
-    assert "it ended with 1" in text
+    page.post(f"/runs/{run}/film/failures")
+    wait_for(lambda: "it ended with 1" in page.get(f"/runs/{run}").text)
     assert page.get(f"/runs/{run}/film/failures").status_code == 404
     (RunFolder.open(tmp_path / run).path / "play.mp4").write_bytes(b"film")
     part = page.get(f"/runs/{run}/film/episodes", headers={"range": "bytes=0-1"})
