@@ -21,14 +21,9 @@ from karolos.store import Store, check
 from karolos.transfer.matrix import Matrix, MatrixRuns
 from karolos.transfer.results import transfer_report
 
-pytestmark = pytest.mark.xdist_group(__name__)
+pytestmark = pytest.mark.xdist_group("transfer")
 
 TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
-    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
 
 
 def numbers(found: MatrixRuns) -> list[object]:
