@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import json
 import signal
+from functools import partial
 
 import numpy as np
 import pytest
 from support.states import assert_same_state
+from support.toy_runs import toy
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
@@ -21,22 +23,14 @@ from karolos.training.assembly import check_parts
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
-TOY = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
-    "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {"strategy": "future"}},
-    "orchestrator": {"processes": 0, "environments": 4},
-    "training": {"steps": 240, "batch_size": 16, "replay_ratio": 4, "warmup_episodes": 4},
-    "testing": {"interval": 100, "episodes": 6},
-}
-
-
-def spec(**changes):
-    return {
-        key: (TOY[key] | value if isinstance(value, dict) and key in TOY else value)
-        for key, value in (TOY | changes).items()
-    }
+TOY = toy(
+    agent={"hidden": [16], "precision": "float32"},
+    buffer={"hindsight": {"strategy": "future"}},
+    orchestrator={"environments": 4},
+    training={"steps": 240, "batch_size": 16, "warmup_episodes": 4},
+    testing={"interval": 100, "episodes": 6},
+)
+spec = partial(toy, TOY)
 
 
 def weights(folder: RunFolder, name: str = "last"):

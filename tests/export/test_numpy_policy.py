@@ -14,6 +14,8 @@ from support.exported_policies import trained
 from karolos.export import NumpyPolicy, numpy_policy
 from karolos.export.export import export_policy
 
+pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once
+
 DOCS = Path(__file__).parents[2] / "docs" / "export.md"
 ALONE = """
 import sys
