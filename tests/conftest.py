@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import signal
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 
 import pytest
+from support.closing import close_all
 from support.fake_plugins import FAKES
 
 from karolos import registry
 
 Install = Callable[..., None]
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
+
+
+@pytest.fixture(autouse=True)
+def environments_are_closed() -> Iterator[None]:
+    """Close what a test has `opened`."""
+    yield
+    close_all()
 
 
 @pytest.fixture

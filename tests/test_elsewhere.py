@@ -12,6 +12,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -73,22 +74,33 @@ def test_a_fault_is_found(line: str) -> None:
     assert list(faults(line))
 
 
+def run_here(folder: Path, *words: str, **environment: str) -> str:
+    """Call karolos in a folder; what it prints."""
+    command = [sys.executable, "-X", "warn_default_encoding", "-m", "karolos_cli", *words]
+    done = subprocess.run(
+        command, cwd=folder, env=os.environ | environment, capture_output=True, encoding="utf-8", check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same run on Linux."""
+    folder = tmp_path_factory.mktemp("linux")
+    run_here(folder, "run", "karolos:smoke/toy", "--quiet")
+    (run,) = folder.glob("runs/*-s0-*")
+    return run
+
+
+@pytest.mark.xdist_group(__name__)
 @pytest.mark.parametrize("as_system", ["windows", "macos"])
-def test_runs_are_made_stopped_resumed_and_compared(as_system: str, tmp_path: Path) -> None:
+def test_runs_are_made_stopped_resumed_and_compared(as_system: str, there: Path, tmp_path: Path) -> None:
     """Two processes of runs with a worker each; the training episodes are those of Linux."""
-    environment = os.environ | {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
-
-    def karolos(*words: str, here: bool = False) -> str:
-        command = [sys.executable, "-X", "warn_default_encoding", "-m", "karolos_cli", *words]
-        done = subprocess.run(
-            command, cwd=tmp_path, env=None if here else environment, capture_output=True, encoding="utf-8", check=False
-        )
-        assert done.returncode == 0, done.stderr
-        return done.stdout
-
+    environment = {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
+    karolos = partial(run_here, tmp_path, **environment)
     karolos("run", "karolos:smoke/toy", "seeds=[0,1]", "--jobs", "2", "--quiet")
-    karolos("run", "karolos:smoke/toy", "--runs", "linux", "--quiet", here=True)
-    elsewhere, there = (sorted((tmp_path / runs).glob("*-s0-*"))[0] for runs in ("runs", "linux"))
+    (elsewhere,) = (tmp_path / "runs").glob("*-s0-*")
     assert (elsewhere / "episodes.jsonl").read_bytes() == (there / "episodes.jsonl").read_bytes()
     assert "smoke_toy" in karolos("compare", "smoke_toy")
     karolos("runs", "rm", elsewhere.name)

@@ -74,7 +74,6 @@ def test_what_is_mirrored_and_moved_is_what_happens_there(
     everywhere = np.tile(np.array(way, np.float32), (STEPS, 1))
     Augmentation(Augmentation.Settings(), signature).change(rows, np.ones(STEPS, np.bool_), everywhere)
     found = played(environment, lambda: begin(environment, -1, way), rows["action"])
-    environment.close()
     for field in signature.observation.fields:
         columns = signature.observation.slice(field.name)
         expected = rows["next_observation"][:, columns]
@@ -116,7 +115,6 @@ def test_what_has_no_mirror_image_is_refused(how: dict, said: str) -> None:
     environment = made("push", **how)
     with pytest.raises(UsageError, match=said):
         Augmentation(Augmentation.Settings(), environment.signature)
-    environment.close()
 
 
 def test_only_the_first_batches_are_changed_also_when_a_state_is_loaded() -> None:

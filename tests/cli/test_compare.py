@@ -14,12 +14,12 @@ import typer
 from karolos_cli.compare import compare
 from karolos_cli.diff import diff
 from sqlalchemy import select, update
+from support import run_samples
 from support.commands import call
 from support.sweep_samples import some_trial, write_sweep
 
 from karolos.errors import NoSuchRunError
 from karolos.records import RunFolder
-from karolos.records.results import TestResult
 from karolos.records.sweep_records import SweepFinal
 from karolos.specification import load_spec
 from karolos.store import Store
@@ -34,24 +34,9 @@ app.command()(compare)
 app.command()(diff)
 
 
-def add_run(
-    runs: Path,
-    seed: int,
-    successes: tuple[int, ...] = (5, 15),
-    *,
-    name: str = "reach",
-    experiment: str = A,
-    spec: dict[str, Any] | None = None,
-    state: str = "finished",
-) -> str:
-    with RunFolder.create(runs, name, seed) as run, Store(Store.default_url(runs)) as store:
-        run.describe(spec or SPEC | {"name": name}, experiment=experiment)
-        for place, k in enumerate(successes, 1):
-            flags = tuple(index < k for index in range(20))
-            run.add_test(TestResult(place * 1000, place * 10.0, flags, flags, (False,) * 20, (0.0,) * 20, (9,) * 20))
-        run.set_state(state, steps=1000 * len(successes), seconds=10.0 * len(successes))
-        store.add_records([run.record()])
-        return run.id
+def add_run(runs: Path, seed: int, successes: tuple[int, ...] = (5, 15), **about: Any) -> str:
+    about = {"name": "reach", "experiment": A} | about
+    return run_samples.add_run(runs, seed, successes, **{"spec": SPEC | {"name": about["name"]}} | about)
 
 
 def rows(*arguments: object) -> list[dict[str, Any]]:
@@ -207,7 +192,7 @@ def test_tables_are_written_for_papers_and_spreadsheets(runs: Path, tmp_path: Pa
     assert tex.endswith("\\bottomrule\n\\end{tabular}\n")
     first, second = csv.DictReader(io.StringIO(Path(files[1]).read_text()))
     assert (first["label"], second["label"], second["parameters.name"]) == ("a", f"'{label}", "better")
-    assert (first["success_end.low"][:5], first["mean_return.value"]) == ("0.531", "0.0")
+    assert (first["success_end.low"][:5], first["mean_return.value"]) == ("0.531", "-1.5")
     assert "--table: cannot write a table into 't.txt'" in refused(
         "compare", "reach", *options[:2], "--table", files[2]
     )

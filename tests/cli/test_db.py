@@ -11,7 +11,8 @@ import typer
 from karolos_cli.compare import compare
 from karolos_cli.db import app
 from karolos_cli.runs import app as runs_app
-from support.run_commands import add_run, call, rows
+from support.run_commands import call, rows
+from support.run_samples import add_run
 
 from karolos.errors import StoreError, UsageError
 from karolos.launchers.experiment import resume_run

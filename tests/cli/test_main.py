@@ -14,7 +14,8 @@ from karolos_cli.main import app, main
 from karolos_cli.run import report
 from support.compared_runs import run
 from support.hostile import spec
-from support.run_commands import add_run, call
+from support.run_commands import call
+from support.run_samples import add_run
 
 from karolos import __version__
 from karolos.launchers.experiment import Outcome

@@ -8,7 +8,6 @@ import re
 import signal
 import subprocess
 import sys
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,6 +15,7 @@ from pathlib import Path
 import pytest
 from karolos_cli.main import app
 from support.commands import call
+from support.processes import wait_for
 
 KAROLOS = (sys.executable, "-c", "from karolos_cli import main; main()")
 SPEC = """\
@@ -100,9 +100,7 @@ def long_run(home, *options: str) -> Iterator[subprocess.Popen[str]]:
     """The process of a run that has been tested and goes on for long."""
     command = [*KAROLOS, "run", "toy.yaml", "training.steps=10000000", "testing.interval=400", *options]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        until = time.monotonic() + 60
-        while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
-            time.sleep(0.05)
+        wait_for(lambda: list(home.glob("runs/*/tests.jsonl")))
         yield process
 
 
@@ -134,14 +132,11 @@ def test_a_detached_command_goes_on_and_no_second_copy_is_started_meanwhile(home
     assert code == 0
     assert "goes on, with its output in runs/toy.log" in err
     process = int(err.split()[1])
-    until, log = time.monotonic() + 60, home / "runs" / "toy.log"
-    while not list(home.glob("runs/*/tests.jsonl")) and time.monotonic() < until:
-        time.sleep(0.05)
+    wait_for(lambda: list(home.glob("runs/*/tests.jsonl")))
     try:
         code, _, err = call(app, *command, "--resume")
         assert (code, "another process runs seed 0" in err) == (1, True)
     finally:
         os.kill(process, signal.SIGTERM)
-    while "s0 stopped" not in (text := re.sub(r"-\d{8}-\d{6}", "", log.read_text())) and time.monotonic() < until:
-        time.sleep(0.05)
-    assert "s0 stopped" in text
+    log = home / "runs" / "toy.log"
+    wait_for(lambda: "s0 stopped" in re.sub(r"-\d{8}-\d{6}", "", log.read_text()))

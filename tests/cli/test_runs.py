@@ -1,44 +1,34 @@
 from __future__ import annotations
 
 import shutil
-import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 from karolos_cli.runs import app
-from support import run_commands
-from typer.testing import Result
+from support import run_commands, run_samples
 
 from karolos import checkpoint
 from karolos.errors import RunError, UsageError
 from karolos.records import RunFolder
-from karolos.records.results import TestResult
 from karolos.store import Store
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [0, 1]}
 
 
-def call(*arguments: object) -> Result:
-    return run_commands.call(app, *arguments)
-
-
-def rows(*arguments: object) -> list[dict[str, Any]]:
-    return run_commands.rows(app, *arguments)
+call, rows = partial(run_commands.call, app), partial(run_commands.rows, app)
 
 
 def add_run(runs: Path, seed: int, state: str = "finished", spec: dict[str, Any] | None = None) -> str:
-    flags = (True,) * 19 + (False,)
-    test = TestResult(1000, 10.0, flags, flags[::-1], (False,) * 20, (0.0,) * 20, (9,) * 20)
-    test.measures["peak_force"] = {"unit": "N", "better": "smaller", "values": (None, *[10.0 * seed + 4] * 19)}
-    with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
-        run.describe(spec or SPEC, experiment="abc", text="environment: toy\n")
-        run.add_test(test)
-        run.set_state(state, steps=1200, seconds=12.5, error="it broke" if state == "failed" else None)
-        store.add_records([run.record()])
-        checkpoint.save(run.checkpoints, "best", {"agent": {}}, {"steps": 1000})
-        return run.id
+    """A run with a test, which measures a force, and a checkpoint."""
+    force = {"unit": "N", "better": "smaller", "values": (None, *[10.0 * seed + 4] * 19)}
+    about = {"spec": spec or SPEC, "experiment": "abc", "text": "environment: toy\n"}
+    error = "it broke" if state == "failed" else None
+    run = run_samples.add_run(runs, seed, state=state, error=error, measures={"peak_force": force}, **about)
+    checkpoint.save(runs / run / "checkpoints", "best", {"agent": {}}, {"steps": 1000})
+    return run
 
 
 def test_list_gives_a_row_per_run_newest_first(runs: Path) -> None:
@@ -70,19 +60,10 @@ def test_list_sorts_and_groups(runs: Path) -> None:
 
 def test_a_group_has_one_run_per_seed_and_counts_those_that_never_reach_95(runs: Path) -> None:
     add_run(runs, 0)
-    with RunFolder.create(runs, "reach", 0) as again, Store(Store.default_url(runs)) as store:
-        again.describe(SPEC, experiment="abc")
-        again.set_state("finished", steps=600)
-        store.add_records([again.record()])
-    add_run(runs, 2)
-    for seed in (3, 4, 5):
-        with RunFolder.create(runs, "reach", seed) as run, Store(Store.default_url(runs)) as store:
-            run.describe(SPEC, experiment="abc")
-            run.add_test(TestResult(1000, 10.0, (False,), (False,), (False,), (0.0,), (9,)))
-            run.set_state("finished", steps=1200)
-            store.add_records([run.record()])
+    for seed, successes in ((0, ()), (2, (19,)), *((seed, (0,)) for seed in (3, 4, 5))):
+        run_samples.add_run(runs, seed, successes, spec=SPEC, experiment="abc")
     [group] = rows("list", "--group", "--runs", runs)
-    assert (group["runs"], group["steps"]) == (6, 1080)  # the newer run of seed 0, which has no test
+    assert (group["runs"], group["steps"]) == (6, 800)  # the newer run of seed 0, which has no test
     assert (group["steps_to_95"], group["reached_95"]) == (None, "1 of 4")
     assert "reach: 1 of 6 runs repeat a seed" in call("list", "--group", "--runs", runs).stderr
     [group] = rows("list", "seed in (2, 3)", "--group", "--runs", runs)
@@ -166,7 +147,7 @@ def test_show_tells_all_about_a_run(runs: Path) -> None:
     both = {
         f"success_{way}{key}": value for way in ("any", "end") for key, value in (("", 0.95), ("_interval", interval))
     }
-    counts = {"steps": 1000, "seconds": 10.0, "episodes": 20, "mean_return": 0.0, "solved_at_reset": 0}
+    counts = {"steps": 1000, "seconds": 10.0, "episodes": 20, "mean_return": -1.5, "solved_at_reset": 0}
     measures = {"peak_force": {"unit": "N", "better": "smaller", "mean": 4.0}}
     assert found["tests"] == [counts | both | {"measures": measures}]
     assert found["checkpoints"] == [{"name": "best", "steps": 1000}]
@@ -204,10 +185,8 @@ def test_show_without_a_folder_tells_what_the_index_knows(runs: Path) -> None:
 def test_show_knows_the_runs_that_ship_unless_one_of_ones_own_has_the_name(runs: Path) -> None:
     (shipped,) = rows("show", "panda_pick", "--runs", runs.parent)
     assert (shipped["name"], shipped["state"]) == ("panda_pick", "finished")
-    with RunFolder.create(runs, "panda_pick", 0) as run, Store(Store.default_url(runs)) as store:
-        run.describe(SPEC, experiment="abc")
-        store.add_records([run.record()])
-    assert rows("show", "panda_pick", "--runs", runs)[0]["run"] == run.id
+    run = run_samples.add_run(runs, 0, name="panda_pick")
+    assert rows("show", "panda_pick", "--runs", runs)[0]["run"] == run
     with pytest.raises(UsageError, match="did you mean 'panda_pick'"):
         call("show", "panda_pikc", "--runs", runs)
 
@@ -218,18 +197,6 @@ def test_text_from_a_spec_cannot_steer_the_terminal(runs: Path) -> None:
         assert "\x1b[2J" not in shown.output
         assert "\x1b[31m" not in shown.output
     assert "[2J[bold]x" in call("show", run, "--runs", runs).stdout
-
-
-def test_listing_imports_neither_torch_nor_an_engine(runs: Path) -> None:
-    add_run(runs, 0)
-    script = (
-        "import sys; from karolos_cli.runs import app\n"
-        "for arguments in (['list'], ['show', '@last']):\n"
-        "    app([*arguments, '--runs', sys.argv[1]], standalone_mode=False)\n"
-        "heavy = {'torch', 'pybullet', 'mujoco', 'optuna', 'scipy', 'gymnasium'} & set(sys.modules)\n"
-        "assert not heavy, heavy\n"
-    )
-    subprocess.run([sys.executable, "-c", script, str(runs)], check=True, capture_output=True)
 
 
 def test_watch_shows_what_runs_where_until_nothing_runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> None:

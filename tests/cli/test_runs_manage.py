@@ -5,27 +5,20 @@ from __future__ import annotations
 import csv
 import io
 import shutil
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 import pytest
 from karolos_cli.runs import app
 from support import run_commands
-from support.run_commands import add_run
-from support.store_samples import stored
-from typer.testing import CliRunner, Result
+from support.run_samples import add_run, stored
+from typer.testing import CliRunner
 
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder
 from karolos.store import Store
 
-
-def call(*arguments: object) -> Result:
-    return run_commands.call(app, *arguments)
-
-
-def rows(*arguments: object) -> list[dict[str, Any]]:
-    return run_commands.rows(app, *arguments)
+call, rows = partial(run_commands.call, app), partial(run_commands.rows, app)
 
 
 def ids(*arguments: object) -> list[str]:
@@ -171,8 +164,6 @@ def test_spec_file_means_the_runs_of_its_experiment(runs: Path, tmp_path: Path) 
     with pytest.raises(UsageError, match=r"there are no runs of .*toy\.yaml; `karolos run"):
         call("show", path)
     spec = load_spec(path)
-    with RunFolder.create(runs, "toy", 0) as run, Store(Store.default_url(runs)) as store:
-        run.describe(spec.dump(), experiment=spec.hash(), source=runs)
-        store.add_records([run.record()])
-    assert rows("show", path)[0]["run"] == run.id
-    assert [row["run"] for row in rows("tag", path, "mine")] == [run.id]
+    run = add_run(runs, 0, (), name="toy", spec=spec.dump(), experiment=spec.hash(), state="created")
+    assert rows("show", path)[0]["run"] == run
+    assert [row["run"] for row in rows("tag", path, "mine")] == [run]

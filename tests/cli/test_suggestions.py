@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from karolos_cli.main import app
 from support.commands import call
-from support.run_commands import add_run
+from support.run_samples import add_run
 from support.sweep_samples import some_trial, write_sweep
 from typer.testing import CliRunner
 

@@ -6,7 +6,8 @@ import pytest
 from karolos_cli.db import app as db
 from karolos_cli.runs import app as list_of_runs
 from karolos_cli.sweeps import app
-from support.run_commands import add_run, call, rows
+from support.run_commands import call, rows
+from support.run_samples import add_run
 from support.sweep_samples import some_trial, write_sweep
 
 import karolos

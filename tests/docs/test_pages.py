@@ -28,12 +28,14 @@ OTHER = ("text", "toml", "sql", "{eval-rst}", "{figure}", "{toctree}")
 NOT_RUN = {"minutes", "hours", "server", "cluster", "pandas", "stable-baselines3", "part"}
 """The second word of a block that is not run: how long it takes, that it does not end, what it needs, `part`."""
 BLOCK = re.compile(r"(^<!-- from [^\n]*-->\n)?^```(\S+)(?: ([^\n]+))?\n(.*?)^```$", re.MULTILINE | re.DOTALL)
-TINY = [
+STEPS = r"\btraining\.steps=\d+"
+FEW = [
     *("training.steps=40", "training.replay_ratio=1", "training.warmup_episodes=1", "training.batch_size=8"),
     *("testing.interval=20", "testing.episodes=2", "testing.final_episodes=2"),
-    *("orchestrator.processes=0", "orchestrator.environments=2", "--quiet", "--jobs", "1"),
+    *("orchestrator.processes=0", "orchestrator.environments=2"),
 ]
 """Overrides that make a run end within seconds."""
+TINY = [*FEW, "--quiet", "--jobs", "1"]
 SMALL_FILM = ["--width", "64", "--height", "48"]
 SMALLER = {
     "sweep": [*TINY, "task.max_steps=10", "sweep.final=null", "sweep.seeds=[0]", "--trials", "1"],
@@ -67,10 +69,14 @@ def commands(text: str) -> Iterator[str]:
 
 def shrunk(words: list[str]) -> list[str]:
     """A karolos command at toy size."""
+    if words[0] == "resume":
+        return [re.sub(STEPS, "training.steps=80", word) for word in words]
     if words[0] != "run":
         return [*words, *SMALLER.get(words[0], [])]
     spec = load_spec(words[1], [word for word in words[2:] if "=" in word and not word.startswith("-")])
     more = [] if spec.task is None else ["task.max_steps=10"]
+    if spec.demonstrations is not None:
+        more += ["demonstrations.episodes=2", "demonstrations.updates=2"]
     if "hidden" in type(spec.agent.settings).model_fields:
         more.append("agent.hidden=[8]" if spec.agent.name != "my_agent" else "agent.hidden=8")
     if len(spec.seeds) > 1:
@@ -116,7 +122,7 @@ def test_code_works_as_written(page: Path, folder: Path, monkeypatch: pytest.Mon
             load_spec(file[1])
         elif language == "python":
             if not file:
-                exec(text, names)
+                exec(re.sub(f'"{STEPS}"', str(FEW)[1:-1], text), names)
         else:
             for command in commands(text):
                 run(command, folder, monkeypatch)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -26,10 +25,8 @@ def discrete(task: str = "reach") -> RobotTask:
 
 
 @pytest.fixture
-def picking() -> Iterator[RobotTask]:
-    environment = discrete("pick_place")
-    yield environment
-    environment.close()
+def picking() -> RobotTask:
+    return discrete("pick_place")
 
 
 def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing() -> None:
@@ -82,8 +79,6 @@ def test_a_discrete_action_is_the_continuous_one_that_it_stands_for() -> None:
     for index, values in ((0, [1, 0, 0]), (5, [0, 0, -1]), (6, [0, 0, 0])):
         ours, theirs = one.step(np.float32([index])), other.step(np.float32(values))
         np.testing.assert_array_equal(ours.observation, theirs.observation)
-    one.close()
-    other.close()
 
 
 @pytest.mark.parametrize("action", [-1, 7, 0.5, np.nan, [0, 1], [0.0, 0.0, 0.0]])
@@ -93,7 +88,6 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(ac
     with pytest.raises(ValueError, match="PandaReach: an action is a number from 0 to 6"):
         environment.step(np.array(action))
     assert np.isfinite(environment.step(np.array(6)).observation).all()
-    environment.close()
 
 
 def test_an_index_is_found_in_any_form_it_travels_in() -> None:

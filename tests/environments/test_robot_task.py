@@ -5,6 +5,7 @@ from math import dist
 
 import numpy as np
 import pytest
+from support.closing import opened
 from support.rig import ENGINES, part
 from support.rig import made as made_of
 
@@ -32,7 +33,6 @@ def test_action_of_a_wrong_shape_is_refused_by_name(action: np.ndarray) -> None:
     made.reset(0)
     with pytest.raises(ValueError, match=r"PandaReach: an action has the shape \(3,\)"):
         made.step(action)
-    made.close()
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
@@ -42,7 +42,6 @@ def test_action_that_is_not_finite_is_refused_and_the_episode_goes_on(value: flo
     with pytest.raises(ValueError, match="PandaReach: an action must be finite"):
         made.step(np.array([0.0, value, 0.0]))
     assert np.isfinite(made.step(np.zeros(3)).observation).all()
-    made.close()
 
 
 def test_step_before_the_first_reset_is_refused() -> None:
@@ -56,7 +55,6 @@ def test_actions_beyond_one_are_clipped() -> None:
     one = made.step(np.array([1.0, -1.0, 1.0])).observation
     made.reset(0)
     np.testing.assert_array_equal(made.step(np.array([7.0, -9.0, 1.5])).observation, one)
-    made.close()
 
 
 def test_observation_is_named_and_the_same_for_every_arm_in_cartesian_control() -> None:
@@ -81,7 +79,6 @@ def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_s
         made.step(np.zeros(3))
     np.testing.assert_array_equal(made.reset(3).observation, reference.observation)
     assert not made.step(np.zeros(3)).truncated
-    made.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -109,7 +106,6 @@ def test_measures_are_those_of_the_episode(engine: str) -> None:
     made.reset(3)
     made.step(np.zeros(3))
     assert made.measures()[2] < 0.1 * found["path_length"], "an episode begins with none"
-    made.close()
 
 
 def test_randomized_values_are_recorded_applied_and_follow_from_the_seed() -> None:
@@ -130,7 +126,6 @@ def test_randomized_values_are_recorded_applied_and_follow_from_the_seed() -> No
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert 0.8 <= first[0][0] <= 1.2
-    made.close()
 
 
 def test_parameter_that_nobody_declares_is_refused_with_the_closest() -> None:
@@ -152,7 +147,7 @@ def test_recipe_without_a_robot_or_with_one_too_many_is_refused() -> None:
 @pytest.mark.parametrize("task", names("tasks"))
 @pytest.mark.parametrize("robot", names("robots"))
 def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
-    made = pair(robot, task)
+    made = opened(pair(robot, task))
     view = view_of(640, 480, made.task.camera)
     places = [made.robot.home]
     for seed in range(30):
@@ -162,7 +157,6 @@ def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
     right, up, ahead = view.axes @ (np.array(places, np.float32) - np.array(view.eye.origin)).T
     assert np.abs(right / ahead / view.edge * 480 / 640).max() < 0.9
     assert np.abs(up / ahead / view.edge).max() < 0.9
-    made.close()
 
 
 def throwing(*omit: str) -> RobotTask:
@@ -180,8 +174,6 @@ def test_fields_are_left_out_of_the_observation() -> None:
             np.testing.assert_array_equal(steps[1].observation[columns[1]], steps[0].observation[columns[0]])
         assert steps[1].observation.shape == (made.signature.observation.size,)
         steps = [one.step(np.full(7, 0.3)) for one in (whole, made)]
-    whole.close()
-    made.close()
 
 
 def test_field_that_there_is_not_or_every_field_cannot_be_left_out() -> None:

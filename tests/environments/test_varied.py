@@ -4,10 +4,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from support.rig import ENGINES, part, recipe, values
+from support.rig import ENGINES, built, part, recipe, values
 
 from karolos.core import Environment
-from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.environments.varied import VariedRobotTask
 from karolos.errors import UsageError
@@ -17,7 +16,7 @@ SIZES = (0.04, 0.045, 0.05)
 
 
 def build(drawn: dict[str, Part], task: str = "push", **how: Any) -> Environment:
-    return build_environment(recipe(task, "ur5", draws=drawn, **how))
+    return built(recipe(task, "ur5", draws=drawn, **how))
 
 
 def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
@@ -35,7 +34,6 @@ def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
     for seed in reversed(range(12)):
         made.reset(seed)
         assert made.parameters()[1] == seen[seed]
-    made.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -58,8 +56,6 @@ def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) ->
         for one, other in zip(steps, expected, strict=True):
             np.testing.assert_array_equal(one.observation, other.observation)
     assert drawn == {0.0, 0.5}
-    for one in (made, *alone.values()):
-        one.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -76,7 +72,6 @@ def test_open_fingers_reach_further(engine: str, opening: float, *, pushed: bool
         made.step(np.zeros(3, np.float32))
     moved = abs(cube.position[1] - (y + 0.042)) > 0.002
     assert moved == pushed
-    made.close()
 
 
 def test_the_expert_is_that_of_the_episode() -> None:
@@ -90,13 +85,11 @@ def test_the_expert_is_that_of_the_episode() -> None:
             state = made.step(np.asarray(expert.act(), np.float32))
         successes += bool(state.success)
     assert successes >= 5
-    made.close()
 
 
 def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
     made = build({"task.start_near": values(0.0, 1.0)})
     assert isinstance(made, RobotTask)
-    made.close()
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -24,9 +25,14 @@ TOY = toys.toy(testing={"episodes": 4, "seed": 5})
 REACH = toys.REACH
 
 
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return toys.run_of(TOY, tmp_path_factory.mktemp("runs")).path
+
+
 @pytest.fixture
-def toy(tmp_path: Path) -> RunFolder:
-    return toys.run_of(TOY, tmp_path)
+def toy(finished: Path, tmp_path: Path) -> RunFolder:
+    return RunFolder.open(shutil.copytree(finished, tmp_path / finished.name))
 
 
 @pytest.fixture(scope="module")

@@ -25,10 +25,7 @@ from karolos.training.assembly import make_orchestrator
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
-TOY = toy_runs.TOY | {
-    "training": toy_runs.TOY["training"] | {"steps": 120},
-    "testing": {"interval": 20, "episodes": 4, "final_episodes": 9, "seed": 3},
-}
+TOY = toy_runs.toy(training={"steps": 120}, testing={"interval": 20, "episodes": 4, "final_episodes": 9, "seed": 3})
 
 
 @pytest.fixture(scope="module")

@@ -12,8 +12,8 @@ from typing import Any
 
 import pytest
 from support.rig import ENGINES
+from support.run_samples import stored
 from support.states import assert_same_runs
-from support.store_samples import stored
 
 from karolos import checkpoint
 from karolos.errors import MachineError, RunError, UsageError
@@ -104,6 +104,7 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: st
     assert [run.run for run in again.runs] == [run.run for run in broken.runs]
     assert again.runs[0].attempt == 2
     assert_same_runs(whole, only(again))
+    assert [event["bit_exact"] for event in only(again).events() if event["event"] == "resumed"] == [True]
     with Store(Store.default_url(tmp_path / "broken")) as store:
         assert [test.steps for test in stored(store, again.runs[0].run).tests] == [100, 200, 240]
 

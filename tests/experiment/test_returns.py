@@ -13,7 +13,7 @@ from karolos_cli.compare import compare
 from karolos_cli.display import Plain
 from karolos_cli.play import play
 from support.commands import call
-from support.store_samples import stored
+from support.run_samples import stored
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from typer import Typer
 

@@ -20,6 +20,8 @@ from karolos.export.export import export_policy
 from karolos.export.onnx_file import run_onnx
 from karolos.registry import load, names
 
+pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once
+
 TOLERANCE = 1e-5
 
 

@@ -24,10 +24,7 @@ from karolos.records import RunFolder, provenance
 from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store, check
 
-TOY = toy_runs.TOY | {
-    "training": toy_runs.TOY["training"] | {"steps": 40},
-    "testing": {"interval": 20, "episodes": 2},
-}
+TOY = toy_runs.toy(training={"steps": 40}, testing={"interval": 20})
 
 
 def toy(**changes: Any) -> Spec:

@@ -6,11 +6,10 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
-from support.processes import child_processes
+from support.processes import child_processes, wait_for
 from support.toy_runs import toy
 
 from karolos.errors import MachineError
@@ -43,15 +42,11 @@ def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
 
 
 def prepare(launcher: LocalLauncher) -> None:
-    until = time.monotonic() + SECONDS
-    while not launcher.room(1) and time.monotonic() < until:
-        assert launcher.wait(0.5) is None
+    def ready() -> bool:
+        assert launcher.wait(0.0) is None
+        return bool(launcher.room(1))
 
-
-def await_tests(folder: RunFolder) -> None:
-    until = time.monotonic() + SECONDS
-    while not folder.tests() and time.monotonic() < until:
-        time.sleep(0.05)
+    wait_for(ready, SECONDS)
 
 
 def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path: Path) -> None:
@@ -65,12 +60,12 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
         assert launcher.wait(SECONDS) == (first.path, None, False)
         assert first.state().state == "finished"
         launcher.start(stopped.path)
-        await_tests(stopped)
+        wait_for(stopped.tests)
         stopped.stop.write_text("pruned")
         assert launcher.wait(SECONDS) == (stopped.path, None, False)
         assert (stopped.state().state, stopped.events()[-1]["reason"]) == ("stopped", "pruned")
         launcher.start(killed.path)
-        await_tests(killed)
+        wait_for(killed.tests)
         os.kill(process, signal.SIGKILL)
         assert launcher.wait(SECONDS) == (killed.path, "its process was killed by SIGKILL", True)
         assert killed.state().state == "lost"
@@ -82,11 +77,9 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
 def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_shell_of_ray(tmp_path: Path) -> None:
     folder = new_run(tmp_path, steps=10**6)
     with subprocess.Popen([sys.executable, "-c", DRIVER, str(folder.path)]) as driver:
-        await_tests(folder)
+        wait_for(folder.tests)
         driver.kill()
-    until = time.monotonic() + SECONDS
-    while folder.is_locked() and time.monotonic() < until:
-        time.sleep(0.05)
+    wait_for(lambda: not folder.is_locked())
     assert (folder.state().state, folder.events()[-1]["reason"]) == ("stopped", "SIGTERM")
     assert (folder.checkpoints / "last" / "manifest.json").is_file()
 

@@ -7,11 +7,11 @@ import random
 import signal
 import sys
 import threading
-import time
 from pathlib import Path
 
 import pytest
 from support import fake_slurm
+from support.processes import wait_for
 from support.toy_runs import toy
 
 from karolos.errors import MachineError
@@ -22,7 +22,7 @@ from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
 TOY = toy(seeds=[0, 1], training={"steps": 1200}, testing={"interval": 100})
-SHORT = toy(seeds=[0, 1], training={"steps": 200}, testing={"interval": 100})
+SHORT = toy(training={"steps": 200}, testing={"interval": 100})
 
 
 @pytest.fixture
@@ -58,13 +58,9 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
     runs = tmp_path / "runs"
 
     def reach_time_limit() -> None:
-        until = time.monotonic() + 120
-        while (process := process_of(slurm / "1_0")) is None and time.monotonic() < until:
-            time.sleep(0.02)
-        assert process is not None
+        process = wait_for(lambda: process_of(slurm / "1_0"))
         os.kill(process, signal.SIGUSR1)  # which kills it, because it has not begun
-        while not list(runs.glob("toy-s1-*/tests.jsonl")) and time.monotonic() < until:
-            time.sleep(0.02)
+        wait_for(lambda: list(runs.glob("toy-s1-*/tests.jsonl")))
         os.kill(int((slurm / "1_1").read_text().split()[0]), signal.SIGUSR1)
 
     limit = threading.Thread(target=reach_time_limit)
@@ -88,11 +84,7 @@ def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Pa
     assert second.wait(0.1) is None
     assert [path.name for path in slurm.iterdir()] == ["1_0"]
     folder.stop.write_text("enough")
-    until = time.monotonic() + 120
-    while (ended := second.wait(0.2)) is None and time.monotonic() < until:
-        pass
-    assert ended is not None
-    assert ended.folder == folder.path
+    assert wait_for(lambda: second.wait(0.2)).folder == folder.path
     assert folder.state().state in ("stopped", "created")
 
 
@@ -101,7 +93,7 @@ def test_answers_of_squeue_that_fail_are_empty_or_odd_cost_no_run(tmp_path: Path
     troubles = [draw.choice(["fail", "", "slurm: a message of the site", "fine"]) for _ in range(300)]
     (tmp_path / "troubles").write_text("\n".join(troubles))
     outcome = Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs", check=False)
-    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 1)] * 2
+    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 1)]
     assert len({path.name.split("_")[0] for path in slurm.iterdir()}) == 1, "nothing is submitted twice"
     assert not (tmp_path / "cancelled").exists()
 
@@ -116,7 +108,7 @@ def test_a_command_that_gives_up_leaves_the_jobs_alone(
     assert not (tmp_path / "cancelled").exists()
     (tmp_path / "troubles").unlink()
     again = Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs", existing="resume")
-    assert [(run.state, run.attempt) for run in again.runs] == [("finished", 1)] * 2
+    assert [(run.state, run.attempt) for run in again.runs] == [("finished", 1)]
 
 
 def test_output_of_sbatch_without_a_number_is_shown(tmp_path: Path, slurm: Path) -> None:

@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 from support.fake_environments import FINE, RAISE, SLOW
-from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
-
-every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
+from support.layouts import THREADS, TWO, every_layout, make, reset, step
 
 
 @every_layout

@@ -29,7 +29,7 @@ from support.fake_environments import (
     Fake,
     Fickle,
 )
-from support.layouts import IN_PROCESS, ONE, THREADS, TWO, make, reset, step
+from support.layouts import IN_PROCESS, ONE, THREADS, TWO, every_layout, make, reset, step
 from support.processes import kill_worker, wait_until_gone
 
 from karolos.environments.toy import Toy
@@ -37,8 +37,6 @@ from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import pool, processes, start
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.worker import build_environments
-
-every_layout = pytest.mark.parametrize("layout", [IN_PROCESS, ONE, TWO, THREADS], ids=["0", "1", "2", "threads"])
 
 
 def _refuse(*_: object) -> None:

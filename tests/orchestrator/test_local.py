@@ -1,25 +1,19 @@
 """Parts of the local orchestrator: settings, spreading, memory, what environments are handed."""
 
 import pickle
-from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
-from support.fake_environments import END, FINE, Fake
+from support.fake_environments import END, FINE
+from support.layouts import make
 
 from karolos.core import Field, Layout, Signature
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.shared_memory import ALIGNMENT, EnvironmentArrays
 from karolos.system import SharedMemory
-
-
-def make(*layout: int, recipe: str = "") -> Local:
-    processes, threads, environments = layout
-    settings = Local.Settings(processes=processes, threads=threads, environments=environments)
-    return Local(settings, partial(Fake, recipe))
 
 
 @given(processes=st.integers(0, 8), threads=st.integers(1, 8), environments=st.integers(1, 8))
@@ -41,7 +35,7 @@ def test_every_setting_is_described():
 
 @pytest.mark.parametrize("layout", [(0, 1, 4), (2, 1, 2)])
 def test_parameters_are_those_of_the_running_episode(layout):
-    with make(*layout) as orchestrator:
+    with make(layout) as orchestrator:
         orchestrator.reset([0, 1, 2, 3], [10, 20, 30, 40])
         orchestrator.receive()
         np.testing.assert_array_equal(orchestrator.parameters([3, 0]), [[40, 20], [10, 5]])
@@ -52,7 +46,7 @@ def test_parameters_are_those_of_the_running_episode(layout):
 
 @pytest.mark.parametrize("layout", [(0, 1, 4), (2, 1, 2)])
 def test_measures_are_those_of_the_episode_that_ended_last(layout):
-    with make(*layout) as orchestrator:
+    with make(layout) as orchestrator:
         orchestrator.reset([0, 3], [10, 40])
         orchestrator.receive()
         for actions in ([FINE, END], [END]):
@@ -64,7 +58,7 @@ def test_measures_are_those_of_the_episode_that_ended_last(layout):
 @pytest.mark.parametrize("layout", [(0, 1, 1), (1, 1, 1)])
 def test_an_environment_may_keep_the_actions_it_was_given(layout):
     """An action delay does; the memory they came in is overwritten by the next."""
-    with make(*layout) as orchestrator:
+    with make(layout) as orchestrator:
         orchestrator.reset([0], [0])
         orchestrator.receive()
         for action, total in ((0.25, 0.25), (0.5, 0.75), (-0.125, 0.625)):
@@ -74,7 +68,7 @@ def test_an_environment_may_keep_the_actions_it_was_given(layout):
 
 @pytest.mark.parametrize("layout", [(0, 1, 2), (1, 1, 2)])
 def test_a_discrete_action_arrives_as_an_index(layout):
-    with make(*layout, recipe="discrete") as orchestrator:
+    with make(layout, recipe="discrete") as orchestrator:
         orchestrator.reset([0, 1], [0, 0])
         orchestrator.receive()
         orchestrator.step([0, 1], np.full((2, 1), FINE, np.float32))

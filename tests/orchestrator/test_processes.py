@@ -33,84 +33,61 @@ def pids(orchestrator):
 """
 
 
-def write(folder: Path, body: str, *, first: str = "") -> list[str]:
+def start(folder: Path, body: str, *, first: str = "", **how: bool) -> subprocess.CompletedProcess[str]:
+    """Run a program to its end."""
     script = folder / "program.py"
     script.write_text(first + HEAD + body)
-    return [sys.executable, str(script)]
+    return subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False, **how)
 
 
 def run(folder: Path, body: str, *, first: str = "") -> str:
-    """Run a program to its end; what it printed. Fails with its standard error."""
-    ended = subprocess.run(write(folder, body, first=first), capture_output=True, text=True, timeout=60, check=False)
+    """What a program prints. Fails with its standard error."""
+    ended = start(folder, body, first=first)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 
 
-def test_workers_import_neither_torch_nor_the_users_script(tmp_path):
+def test_workers_import_neither_torch_nor_the_users_script_and_change_nothing_of_the_program(tmp_path):
     """The script has no `if __name__ == "__main__"`, and stands for one that has imported torch."""
     output = run(
         tmp_path,
         """
-import types
+import os, types
 sys.modules["torch"] = types.ModuleType("torch")
+for name in start.ONE_THREAD:
+    os.environ.pop(name, None)
+os.environ["OMP_NUM_THREADS"] = "3"
+before = dict(os.environ)
 print("the script runs")
 with make() as orchestrator:
     pids(orchestrator)
     print(step(orchestrator, FINE)[:, 2:].tolist())
+    step(orchestrator, PRINT)  # what workers print stays out of the program's output
 print("main is back:", sys.modules["__main__"].MARK_OF_THE_USERS_SCRIPT)
+print("the environment is as it was:", dict(os.environ) == before)
 """,
     )
     torch, threads, main = 0.0, 1.0, 0.0
-    assert output.splitlines() == ["the script runs", str([[torch, threads, main]] * 4), "main is back: True"]
-
-
-def test_importing_the_orchestrator_imports_neither_torch_nor_an_engine(tmp_path):
-    output = run(
-        tmp_path, "print([name for name in ('torch', 'pybullet', 'mujoco', 'sqlalchemy') if name in sys.modules])"
-    )
-    assert output.strip() == "[]"
+    seen = str([[torch, threads, main]] * 4)
+    assert output.splitlines() == ["the script runs", seen, "main is back: True", "the environment is as it was: True"]
 
 
 def test_building_a_robot_and_task_imports_no_torch(tmp_path):
     output = run(
         tmp_path,
         """
+from support.rig import recipe
 from karolos.environments.build import build_environment
-from karolos.registry import load
-from karolos.specification.parts import Part, Recipe
 
-def part(kind, name):
-    return Part(kind, name, load(kind, name).Settings())
-
-recipe = Recipe(part("environments", "robot_task"), part("robots", "panda"), part("tasks", "reach"))
-build_environment(recipe).reset(0)
+panda = recipe("reach")
+build_environment(panda).reset(0)
 print("mujoco" in sys.modules, "torch" in sys.modules)
-with Local(Local.Settings(), partial(build_environment, recipe)) as orchestrator:
+with Local(Local.Settings(), partial(build_environment, panda)) as orchestrator:
     orchestrator.reset([0], [0])
     orchestrator.receive()
 """,
     )
     assert output == "True False\n"
-
-
-def test_what_workers_print_stays_out_of_the_programs_output(tmp_path):
-    assert run(tmp_path, "with make() as orchestrator:\n    pids(orchestrator); step(orchestrator, PRINT)") == ""
-
-
-def test_the_parents_environment_variables_stay_as_they_were(tmp_path):
-    output = run(
-        tmp_path,
-        """
-import os
-for name in start.ONE_THREAD:
-    os.environ.pop(name, None)
-os.environ["OMP_NUM_THREADS"] = "3"
-before = dict(os.environ)
-make().close()
-print(dict(os.environ) == before)
-""",
-    )
-    assert output == "True\n"
 
 
 @pytest.mark.parametrize("first", ["", "import weakref\nweakref.finalize(weakref.finalize, print)\n"])
@@ -137,7 +114,7 @@ with make() as orchestrator:
 
 def test_a_program_that_fails_shows_its_own_error_and_leaves_no_worker(tmp_path):
     body = "orchestrator = make()\nprint(*pids(orchestrator), flush=True)\nraise LookupError('mine')"
-    ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
+    ended = start(tmp_path, body)
     assert ended.stderr.strip().endswith("LookupError: mine")
     assert ended.stderr.count("Traceback") == 1
     wait_until_gone(*map(int, ended.stdout.split()))
@@ -155,29 +132,27 @@ while True:
 """
     shared = Path("/dev/shm")
     before = set(shared.iterdir()) if shared.exists() else set()
-    ended = subprocess.run(write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False)
+    ended = start(tmp_path, body)
     assert ended.returncode == -signal.SIGKILL
     wait_until_gone(*map(int, ended.stdout.split()))
     left = (set(shared.iterdir()) if shared.exists() else set()) - before
     assert not [path for path in left if path.name.startswith(("psm_", "pym-", "karolos"))]
 
 
-@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1"])
-def test_a_signal_to_the_whole_group_is_the_parents_to_decide(tmp_path, name):
+def test_a_signal_to_the_whole_group_is_the_parents_to_decide(tmp_path):
     """Ctrl-C and job schedulers signal every process; the parent finishes its step and may go on."""
-    body = f"""
+    body = """
 import os, signal
-heard = []
 orchestrator = make()
 before = pids(orchestrator)
-signal.signal(signal.{name}, lambda *_: heard.append(1))
-os.killpg(0, signal.{name})
-step(orchestrator, FINE)
-print(bool(heard), pids(orchestrator) == before)
+for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1"):
+    heard = []
+    signal.signal(getattr(signal, name), lambda *_: heard.append(1))
+    os.killpg(0, getattr(signal, name))
+    step(orchestrator, FINE)
+    print(name, bool(heard), pids(orchestrator) == before)
 orchestrator.close()
 """
-    ended = subprocess.run(
-        write(tmp_path, body), capture_output=True, text=True, timeout=60, check=False, start_new_session=True
-    )
-    assert ended.stdout == "True True\n", ended.stderr
+    ended = start(tmp_path, body, start_new_session=True)
     assert ended.stderr == ""
+    assert ended.stdout == "".join(f"{name} True True\n" for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGUSR1"))

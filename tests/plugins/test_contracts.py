@@ -8,7 +8,7 @@ from itertools import product
 import pytest
 import torch
 
-from karolos.plugins.contracts import Case, candidate, cases
+from karolos.plugins.contracts import Case, candidate, cases, environments
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import load, names
 from karolos.simulation.engines import installed
@@ -32,6 +32,16 @@ DISTRIBUTIONS = {
 """Settings of those that come with karolos."""
 
 
+USUAL = {"robots": "panda", "tasks": "reach"}
+ANYWHERE = {
+    environments.different_seeds_give_different_episodes,
+    environments.an_episode_ends_once_and_no_step_follows,
+    environments.a_step_stays_as_it_was_returned,
+    environments.closing_twice_is_safe,
+}
+"""What no pair changes: the usual robot shows it with each task, and each robot with the usual task."""
+
+
 def installed_cases() -> Iterator[Case]:
     """What the installed plugins promise, left out those that cannot do without settings; then robots with tasks."""
     for kind in ("agents", "buffers", "environments", "robots", "grippers", "tasks"):
@@ -42,15 +52,23 @@ def installed_cases() -> Iterator[Case]:
     for name, settings in DISTRIBUTIONS.items():
         yield from cases(candidate("distributions", name, **settings))
     for robot, task in product(names("robots"), names("tasks")):
-        yield from of_pair(candidate("robots", robot), candidate("tasks", task))
+        usual = robot == USUAL["robots"] or task == USUAL["tasks"]
+        for case in of_pair(candidate("robots", robot), candidate("tasks", task)):
+            if usual or (in_control_of(task, case) and case.promise not in ANYWHERE):
+                yield case
     if installed("bullet"):
         for robot in names("robots"):
             yield from cases(candidate("robots", robot, "bullet"), alone=True)
-        # the other robots, and joints where a task moves the tool: `karolos plugins check robot NAME --engine bullet`
+        # the other robots: `karolos plugins check robot NAME --engine bullet`
         for task in names("tasks"):
-            found = of_pair(candidate("robots", "panda", "bullet"), candidate("tasks", task))
-            left_out = "" if load("tasks", task).control == "joint" else "-joint-"
-            yield from (case for case in found if not left_out or left_out not in str(case))
+            found = of_pair(candidate("robots", USUAL["robots"], "bullet"), candidate("tasks", task))
+            yield from (case for case in found if in_control_of(task, case))
+
+
+def in_control_of(task: str, case: Case) -> bool:
+    """Whether a pair is checked with what actions of the task move."""
+    own = load("tasks", task).control
+    return case.candidates[0].settings.get("control", own) == own
 
 
 @pytest.mark.parametrize("case", [*installed_cases()], ids=str)

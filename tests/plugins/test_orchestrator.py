@@ -4,15 +4,15 @@ from functools import partial
 
 import numpy as np
 import pytest
+from support.layouts import make
+from support.rig import part
 
 from karolos.core import Received, Step
 from karolos.environments.build import build_environment
 from karolos.environments.toy import Toy
 from karolos.errors import RunError, WorkerError
-from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
-from karolos.registry import load
-from karolos.specification.parts import Part, Recipe
+from karolos.specification.parts import Recipe
 
 SIZE = 6
 TOY = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
@@ -25,12 +25,6 @@ LAYOUTS = {
 }
 
 
-def make(name: str) -> Local:
-    processes, threads, environments = LAYOUTS[name]
-    settings = Local.Settings(processes=processes, threads=threads, environments=environments, failures=0)
-    return Local(settings, partial(Toy, TOY))
-
-
 @pytest.fixture(params=[*LAYOUTS, "ray"])
 def orchestrator(request):
     if request.param == "ray":
@@ -39,7 +33,7 @@ def orchestrator(request):
         with Ray(settings, partial(Toy, TOY)) as made:
             yield made
         return
-    with make(request.param) as made:
+    with make(LAYOUTS[request.param], TOY, Toy) as made:
         yield made
 
 
@@ -154,10 +148,6 @@ def test_signature_is_the_environments(orchestrator):
     np.testing.assert_array_equal(reward, signature.goal_rule.reward(np.zeros(3), np.ones(3)))
 
 
-def part(kind: str, name: str) -> Part:
-    return Part(kind, name, load(kind, name).Settings())
-
-
 @pytest.mark.parametrize("name", ["toy", "robot_task"])
 def test_a_recipe_is_built_in_the_workers_and_plays_the_same_everywhere(name):
     """By the road that a spec takes; with physics, which must not notice who runs it."""
@@ -165,8 +155,8 @@ def test_a_recipe_is_built_in_the_workers_and_plays_the_same_everywhere(name):
     recipe = Recipe(environment, part("robots", "panda"), part("tasks", "reach")) if name == "robot_task" else None
     seen = []
     for processes, threads in ((0, 1), (2, 1), (1, 2)):
-        settings = Local.Settings(processes=processes, threads=threads, environments=2 // max(processes, threads))
-        with Local(settings, partial(build_environment, recipe or Recipe(environment))) as orchestrator:
+        layout = processes, threads, 2 // max(processes, threads)
+        with make(layout, recipe or Recipe(environment), build_environment) as orchestrator:
             generator = np.random.default_rng(0)
             orchestrator.reset(range(2), range(2))
             steps = [orchestrator.receive().step]

@@ -5,6 +5,7 @@ import gzip
 import io
 import json
 import os
+import random
 import subprocess
 import sys
 import tarfile
@@ -28,7 +29,7 @@ def run(tmp_path: Path) -> RunFolder:
         folder.add_test(result(10, 3))
         folder.set_state("finished", steps=10)
         (folder.path / "checkpoints" / "best").mkdir(parents=True)
-        (folder.path / "checkpoints" / "best" / "agent.pt").write_bytes(os.urandom(5000))
+        (folder.path / "checkpoints" / "best" / "agent.pt").write_bytes(random.Random(0).randbytes(5000))
         (folder.path / "checkpoints" / "last").mkdir(parents=True)
         os.link(folder.path / "checkpoints" / "best" / "agent.pt", folder.path / "checkpoints" / "last" / "agent.pt")
     labels.add_tags(folder.path, ["good"])

@@ -36,5 +36,3 @@ def test_an_episode_is_that_of_an_arm_at_the_origin_moved(task: str, engine: str
             for columns in positions:
                 np.testing.assert_allclose(a.observation[columns], b.observation[columns] + (x, y, z), atol=1e-3)
     np.testing.assert_allclose(np.subtract(centred.camera.target, plain.camera.target), centred.robot.base)
-    for environment in (centred, plain):
-        environment.close()

@@ -25,5 +25,4 @@ def test_full_joint_actions_bring_no_link_deep_into_the_floor(robot: str, engine
             step = environment.step(draws.choice([-1.0, 1.0], environment.signature.action.size))
             for link in arm.body.links().values():
                 depth = max([depth, *(-contact.distance for contact in world.contacts(arm.body, world.floor, link))])
-    environment.close()
     assert 0.0 < depth < DEEPEST

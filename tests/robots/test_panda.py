@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from support.closing import opened
 
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import PluginError
@@ -18,9 +19,8 @@ class Grasping(Reach):
 
 
 def environment(task: type[Reach] = Reach, **settings: object) -> RobotTask:
-    return RobotTask(
-        RobotTask.Settings(), robot=Panda(Panda.Settings(**settings)), task=task(task.Settings(max_steps=1000))
-    )
+    robot = Panda(Panda.Settings(**settings))
+    return opened(RobotTask(RobotTask.Settings(), robot=robot, task=task(task.Settings(max_steps=1000))))
 
 
 @pytest.mark.parametrize("control", ["joint", "cartesian"])
@@ -36,7 +36,6 @@ def test_gripper_opens_and_closes_and_its_fingers_agree(control: str) -> None:
         assert step.observation[where] == pytest.approx(opening, abs=0.03)
         first, second = made.robot.body.joints([7, 8])  # type: ignore[attr-defined]
         assert abs(first[0] - second[0]) < 1e-3
-    made.close()
 
 
 def test_yaw_turns_the_gripper_and_is_seen() -> None:
@@ -48,7 +47,6 @@ def test_yaw_turns_the_gripper_and_is_seen() -> None:
     before, after = (np.arctan2(*s.observation[heading][::-1]) for s in (start, step))
     assert after - before > 0.4
     assert np.linalg.norm(step.achieved_goal - start.achieved_goal) < 0.01
-    made.close()
 
 
 def test_tool_that_cannot_be_placed_is_a_clear_error() -> None:
@@ -56,7 +54,6 @@ def test_tool_that_cannot_be_placed_is_a_clear_error() -> None:
     made.reset(0)
     with pytest.raises(PluginError, match="workspace"):
         made.robot.place_tool((1.5, 0.0, 0.2), 0.0)
-    made.close()
 
 
 def test_delayed_action_takes_effect_later() -> None:
@@ -68,7 +65,6 @@ def test_delayed_action_takes_effect_later() -> None:
     moved = [float(np.linalg.norm(made.step(push).observation[:3] - started)) for _ in range(5)]
     assert max(moved[:2]) < 0.002
     assert moved[4] > 0.01
-    made.close()
 
 
 def test_noise_is_on_the_observation_and_not_on_the_goal() -> None:
@@ -79,4 +75,3 @@ def test_noise_is_on_the_observation_and_not_on_the_goal() -> None:
     assert np.abs(step.observation[:3] - step.achieved_goal).max() > 0.001
     again = made.reset(0)
     np.testing.assert_array_equal(step.observation, again.observation)
-    made.close()

@@ -60,7 +60,6 @@ def test_a_motor_that_friction_leaves_less_torque_stops_at_that(engine: str) -> 
     environment = low(engine, {"robot.joint_friction": values(0.3)}, force=None, seconds=0.1)
     assert pressed_on_the_floor(environment).truncated
     assert environment.stops == 1
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -75,7 +74,6 @@ def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engin
         environment.step(np.zeros(3, np.float32))
     environment.reset(1)
     assert environment.stops == 0
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -83,13 +81,11 @@ def test_a_stop_may_only_be_counted(engine: str) -> None:
     environment = low(engine, ends=False)
     assert not pressed_on_the_floor(environment).truncated
     assert environment.stops >= 1
-    environment.close()
 
 
 def test_a_stop_that_is_off_notices_nothing_and_tasks_choose_the_default() -> None:
     environment = low(ENGINES[0])
     assert not pressed_on_the_floor(environment).truncated
     assert environment.stops == 0
-    environment.close()
     for task, on in (("reach", False), ("push", False), ("pick_place", False), ("throw", True)):
         assert made(task).task.protective_stop == on

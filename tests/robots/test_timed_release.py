@@ -42,7 +42,6 @@ def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine:
         for share in (0.85, 0.65, 0.45, 0.25, 0.05)  # a control step has 10 physics steps
     ]
     assert along == pytest.approx([0.1, 0.3, 0.5, 0.7, 0.9], abs=0.05)
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -50,14 +49,12 @@ def test_an_episode_forgets_the_release_of_the_one_before(engine: str) -> None:
     environment = throwing(engine)
     first = swing(environment, [0.3])
     assert np.array_equal(swing(environment, [0.3]), first)
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine: str) -> None:
     environment = throwing(engine, timed=False)
     assert swing(environment, [0.3]) == pytest.approx(swing(environment, [1.0]), abs=1e-3)
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -69,5 +66,3 @@ def test_a_delayed_gripper_opens_that_much_later_across_control_steps(engine: st
     assert along == pytest.approx(later, abs=0.1)
     delayed.robot.apply("gripper_delay", 0.0)  # as randomization does
     assert np.array_equal(swing(delayed, [1.0]), early)
-    for environment in (prompt, delayed):
-        environment.close()

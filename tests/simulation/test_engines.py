@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from karolos_cli.main import app
+from support import rig
 from support.rig import ENGINES, made
 from typer.testing import CliRunner
 
@@ -40,18 +40,14 @@ def engine(request: pytest.FixtureRequest) -> Engine:
 
 
 @pytest.fixture
-def world(engine: Engine) -> Iterator[Any]:
-    made = make_world(engine)
-    yield made
-    made.close()
+def world(engine: Engine) -> Any:
+    return rig.world(engine)
 
 
 @pytest.fixture(params=[1, 10])
-def divided(engine: Engine, request: pytest.FixtureRequest) -> Iterator[World]:
+def divided(engine: Engine, request: pytest.FixtureRequest) -> World:
     """A world with 1 or 10 physics steps per control step."""
-    made = make_world(engine, substeps=request.param)
-    yield made
-    made.close()
+    return rig.world(engine, substeps=request.param)
 
 
 def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
@@ -112,7 +108,7 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: En
     inertia = 0.1 + 2 * 0.5**2  # kg m2 about the hinge
     ends = []
     for substeps in (1, 10):
-        world = make_world(engine, substeps=substeps)
+        world = rig.world(engine, substeps=substeps)
         world.set_gravity(0.0)
         _, motors = pendulum(world, 1.0)
         motors.set_joint_damping(0.5)
@@ -123,7 +119,6 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: En
         for _ in range(240 // substeps):
             world.step()
         ends.append(motors.read()[1][0])
-        world.close()
     assert ends[0] == pytest.approx(ends[1], rel=1e-6)
     assert ends[0] == pytest.approx(np.exp(-0.5 / inertia), rel=0.01)
 
@@ -332,7 +327,6 @@ def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine: Engine) -> N
         environment.step(swing)
     assert robot.joint_velocities[0] > 2
     assert np.linalg.norm(place() - before) < 1e-3
-    environment.close()
 
 
 def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:
@@ -403,18 +397,17 @@ def test_the_engine_is_mujoco_by_default_and_part_of_an_experiments_identity() -
 def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> None:
     ends = []
     for one in (240, rate):
-        world = make_world(engine, substeps=10 * one // 240, rate=one)
+        world = rig.world(engine, substeps=10 * one // 240, rate=one)
         _, motors = pendulum(world, 50 * WEIGHT)
         for begin, end in ((0.0, 1.0), (1.0, -1.0)):
             motors.drive([begin], [end], {})
             world.step()
         ends.append((*motors.read()[0], *motors.read()[1], world.period))
-        world.close()
     assert ends[0] == pytest.approx(ends[1], abs=5e-3)
 
 
 def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slowly() -> None:
-    world: Any = make_world("mujoco", substeps=1)
+    world = rig.world("mujoco", substeps=1)
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.set_material(Material(restitution=0.5))
     box.place((0.0, 0.0, 0.32))
@@ -432,4 +425,3 @@ def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slo
             world.step()
         deep.append(0.02 - box.pose()[0][2])
     assert 0 < deep[1] < 0.5 * deep[0]
-    world.close()

@@ -14,10 +14,11 @@ import trimesh
 from numpy.typing import NDArray
 from support.prisms import L, block_with_hole, prism
 from support.rig import ENGINES
+from support.rig import world as empty
 
 from karolos.errors import MachineError, PluginError, UsageError
 from karolos.simulation import fixtures, meshes, urdf
-from karolos.simulation.engines import Engine, make_world
+from karolos.simulation.engines import Engine
 from karolos.simulation.geometry import matrix_of
 from karolos.simulation.parts import Link, Mechanism, mechanism
 from karolos.simulation.shapes import Cuboid, Inertia, Mesh, inertia_of, volume_of
@@ -168,7 +169,7 @@ def test_a_file_that_is_edited_is_read_again(tmp_path: Path) -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_mesh_falls_and_rests_as_its_hull(engine: Engine, corner: Path) -> None:
     """The L lies on its two tips: the side that only its hull has."""
-    world = make_world(engine)
+    world = empty(engine)
     body = world.body([Mesh(corner, 0.001, collision="convex")], 0.2, RED)
     half, (z, w) = 0.5**0.5, (-np.sin(np.pi / 8), np.cos(np.pi / 8))  # 45 degrees about z, then 90 about y: tips down
     standing = (half * z, half * w, half * z, half * w)
@@ -179,7 +180,6 @@ def test_a_mesh_falls_and_rests_as_its_hull(engine: Engine, corner: Path) -> Non
     assert position[2] == pytest.approx(0.08 * half, abs=1.5e-3)
     assert matrix_of(turn) @ [half, half, 0.0] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
     assert sum(world.forces(body).values()) == pytest.approx(0.2 * 9.81, rel=0.1)
-    world.close()
 
 
 def test_a_decomposed_mesh_keeps_its_hole(
@@ -189,14 +189,13 @@ def test_a_decomposed_mesh_keeps_its_hole(
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     path = block_with_hole(tmp_path / "block.stl", 80.0, 30.0, 25.0)
     for engine in ENGINES:
-        world = make_world(engine)
+        world = empty(engine)
         world.body([Mesh(path, 0.001, collision="decomposed")], 0.0, RED)
         peg = world.body([Cuboid((0.02, 0.02, 0.06))], 0.1, RED)
         peg.place((0.0, 0.0, 0.06))
         for _ in range(24):
             world.step()
         assert peg.pose()[0][2] == pytest.approx(0.03, abs=1e-3)
-        world.close()
     said = re.search(r"block.stl: (\d+) convex pieces, kept in", capsys.readouterr().err)
     assert said is not None
     monkeypatch.setitem(sys.modules, "coacd", None)
@@ -242,7 +241,7 @@ def drawer(kind: str, folder: Path) -> Path | Mechanism:
 def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(
     engine: Engine, kind: str, tmp_path: Path
 ) -> None:
-    world = make_world(engine)
+    world = empty(engine)
     body = world.load(drawer(kind, tmp_path))
     body.place(
         (0.5, 0.0, 0.2), (0.0, np.sin(0.2), 0.0, np.cos(0.2))
@@ -267,7 +266,6 @@ def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(
     assert at == pytest.approx(
         (0.5 - 0.23 * np.cos(0.4) + 0.05 * np.sin(0.4), 0, 0.2 + 0.23 * np.sin(0.4) + 0.05 * np.cos(0.4)), abs=2e-3
     )
-    world.close()
 
 
 CLASSES = """
@@ -331,7 +329,7 @@ def test_a_link_that_cannot_move_is_refused() -> None:
 @pytest.mark.parametrize("engine", ENGINES)
 def test_moments_that_are_set_are_about_the_axes_of_the_link(engine: Engine) -> None:
     """A wheel of (1, 2, 3) kg cm2, or twice that, which 3 N cm turn about one axis after the other."""
-    world = make_world(engine, substeps=1)
+    world = empty(engine, substeps=1)
     own = Inertia((0.0, 0.0, 0.0), (1e-4, 2e-4, 3e-4))
     for place, axis in enumerate([(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]):
         how: dict[str, Any] = {"parent": "base", "joint": "hinge", "range": (-9, 9), "axis": axis}
@@ -345,4 +343,3 @@ def test_moments_that_are_set_are_about_the_axes_of_the_link(engine: Engine) -> 
             world.step()
             assert body.joint("wheel")[1] / world.period == pytest.approx(0.03 / moments[place], rel=0.02)
             body.drive_joint("wheel", 0.0, 0.0)
-    world.close()

@@ -11,8 +11,7 @@ import pytest
 from karolos_cli import db
 from support.commands import call
 from support.databases import KINDS, empty_database
-from support.run_samples import new_run, result
-from support.store_samples import stored
+from support.run_samples import new_run, result, stored
 
 from karolos.records import RunFolder
 from karolos.records.archive import export_runs, import_runs

@@ -14,7 +14,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.databases import KINDS, empty_database
-from support.store_samples import result
+from support.run_samples import result
 from support.sweep_samples import some_trial, write_sweep
 
 from karolos.files import FileLock

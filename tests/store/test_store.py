@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 from support.databases import KINDS, empty_database
-from support.store_samples import SPEC, bare, new_run, result, stored
+from support.run_samples import SPEC, bare, indexed_run, result, stored
 
 from karolos.errors import NoSuchRunError, StoreError, UsageError
 from karolos.records import RunFolder
@@ -27,9 +27,9 @@ def store(tmp_path: Path) -> Store:
 
 
 def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path, seed=2**63 - 1)
+    run = indexed_run(store, tmp_path, seed=2**63 - 1)
     assert store.runs() == (run.summary(),)
-    for each in (result(100, 3), result(200, 19)):
+    for each in (result(100, 3, end=20), result(200, 19, end=20)):
         run.add_test(each)
     run.set_state("finished", steps=210, seconds=1 / 3)
     store.add_records([run.record()])
@@ -43,7 +43,7 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
 
 
 def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     for each in (result(100, 3), result(200, 5)):
         run.add_test(each)
     store.add_records([run.record()])
@@ -63,7 +63,7 @@ def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_p
 
 
 def test_run_comes_with_its_spec_without_seeds_and_its_versions(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     record = stored(store, run.id)
     assert record.spec == {key: value for key, value in SPEC.items() if key != "seeds"}
     assert record.versions == run.record().versions != {}
@@ -72,7 +72,7 @@ def test_run_comes_with_its_spec_without_seeds_and_its_versions(store: Store, tm
 def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
     runs = tmp_path / "runs"
     with Store(Store.default_url(runs)) as before:
-        run = new_run(before, runs)
+        run = indexed_run(before, runs)
     moved = runs.rename(tmp_path / "elsewhere")
     with Store(Store.default_url(moved)) as after:
         assert after.runs()[0].folder == str(moved / run.id)
@@ -80,7 +80,7 @@ def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
 
 
 def test_labels_of_an_unknown_run_are_told(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     store.remove_runs([run.id])
     with pytest.raises(StoreError, match=r"is not in the database; its folder is complete"):
         store.refresh_labels(run)
@@ -107,7 +107,7 @@ def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
 
 
 def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     run.set_state("running")
     store.add_records([run.record()])
     assert [found.state for found in store.runs(state="running")] == ["running"]
@@ -118,7 +118,7 @@ def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Pat
 
 
 def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     run.set_state("running")
     store.add_records([run.record()])
     run.add_test(result(100, 20))
@@ -156,7 +156,7 @@ def test_selector_means_one_run(store: Store) -> None:
 
 
 def test_path_of_a_run_folder_means_no_other_run(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     copy = shutil.copytree(run.path, tmp_path / "elsewhere" / run.id)
     (tmp_path / "link").symlink_to(run.path)
     for path in (run.path, tmp_path / "link"):

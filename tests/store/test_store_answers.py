@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select, update
 from support.databases import KINDS, empty_database
-from support.store_samples import bare
+from support.run_samples import bare
 
 from karolos.errors import StoreError, UsageError
 from karolos.records import RunFolder, labels

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 from sqlalchemy import create_engine, make_url
-from support.store_samples import bare, new_run
+from support.run_samples import bare, indexed_run
 
 from karolos.errors import MachineError, StoreError
 from karolos.records.run_records import RunSummary
@@ -25,7 +25,7 @@ def database(store: Store) -> sqlite3.Connection:
 
 
 def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     with database(store) as other:
         other.execute("BEGIN EXCLUSIVE")
         with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps the database locked; wait for"):
@@ -37,7 +37,7 @@ def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Pa
 
 
 def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     with database(store) as other:
         other.execute("BEGIN IMMEDIATE")
         assert [found.run for found in store.runs()] == [run.id]
@@ -97,7 +97,7 @@ def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
     ],
 )
 def test_damaged_row_is_told(store: Store, tmp_path: Path, change: str, told: str) -> None:
-    new_run(store, tmp_path).release()
+    indexed_run(store, tmp_path).release()
     with database(store) as other:
         other.execute(change)
     with pytest.raises(StoreError, match=told):
@@ -115,7 +115,7 @@ def test_read_only_database_is_told(tmp_path: Path) -> None:
 
 
 def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(store: Store, tmp_path: Path) -> None:
-    run = new_run(store, tmp_path)
+    run = indexed_run(store, tmp_path)
     Path(store.database.url.database or "").unlink()
     with pytest.raises(StoreError, match="the database cannot be opened"):
         store.add_records([run.record()])

@@ -5,10 +5,7 @@ from __future__ import annotations
 import json
 import os
 import shutil
-import signal
-import subprocess
 import sys
-import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,6 +17,7 @@ from karolos_cli.suite import suite
 from support.commands import call
 from support.compared_runs import contender
 from support.fake_launcher import FakeLauncher
+from support.processes import killed_when, wait_for
 from support.transfer_samples import LINE
 
 from karolos.comparison import compare
@@ -76,16 +74,10 @@ def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_th
     first = folders(Path("undisturbed"))["fast"]
     shutil.copytree(first.path, Path("runs", first.id))
     command = [sys.executable, "-m", "karolos_cli", "suite", *COMMAND]
-    with subprocess.Popen(command, start_new_session=True, env={**os.environ, "OMP_NUM_THREADS": "1"}) as process:
-        deadline = time.monotonic() + 300
-        while not list(Path("runs").glob("slow-*/tests.jsonl")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        os.killpg(process.pid, signal.SIGKILL)
-    while (state := folders(Path("runs"))["slow"].summary().state) == "running":  # stops when its driver is gone
-        time.sleep(0.01)
-    assert state in ("stopped", "lost")
+    one_thread = {**os.environ, "OMP_NUM_THREADS": "1"}
+    killed_when(lambda: list(Path("runs").glob("slow-*/tests.jsonl")), command, env=one_thread)
+    slow = folders(Path("runs"))["slow"]
+    wait_for(lambda: slow.summary().state in ("stopped", "lost"))  # when its driver is gone
     again, started = trained(monkeypatch, "--beside", "undisturbed")
     assert started == ["slow"]
     assert len(folders(Path("runs"))) == len(list(Path("runs").glob("*/run.json"))) == 2

@@ -4,9 +4,15 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import signal
+import subprocess
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
+from typing import Any, TypeVar
+
+Found = TypeVar("Found")
 
 
 def child_processes() -> list[int]:
@@ -27,12 +33,26 @@ def kill_worker(number: int) -> None:
     worker.join()
 
 
+def wait_for(holds: Callable[[], Found], seconds: float = 120.0) -> Found:
+    """Wait until it holds; what it gives then."""
+    deadline = monotonic() + seconds
+    while not (found := holds()):
+        assert monotonic() < deadline, "it never holds"
+        sleep(0.01)
+    return found
+
+
+def killed_when(holds: Callable[[], object], command: Sequence[str], *, alone: bool = False, **how: Any) -> None:
+    """Start a command and kill it, before its end, as soon as this holds; and what it has started, but if `alone`."""
+    with subprocess.Popen(command, start_new_session=True, **how) as process:
+        wait_for(lambda: holds() or process.poll() is not None, 300)
+        (os.kill if alone else os.killpg)(process.pid, signal.SIGKILL)
+    assert process.returncode == -signal.SIGKILL
+
+
 def wait_until_gone(*pids: int) -> None:
     """Wait until these processes have ended."""
-    deadline = monotonic() + 20
-    while left := [pid for pid in pids if _is_alive(pid)]:
-        assert monotonic() < deadline, f"still there: {left}"
-        sleep(0.02)
+    wait_for(lambda: not any(map(_is_alive, pids)), 20)
 
 
 def _is_alive(pid: int) -> bool:

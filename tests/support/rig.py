@@ -1,15 +1,16 @@
-"""Robots with tasks, installed engines, and an episode of an expert."""
+"""Robots with tasks and worlds, which the end of a test closes; installed engines; an episode of an expert."""
 
 from __future__ import annotations
 
 from typing import Any, get_args
 
-from karolos.core import Step
+from karolos.core import Environment, Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
-from karolos.simulation.engines import Engine, installed
+from karolos.simulation.engines import Engine, installed, make_world
 from karolos.specification.parts import Part, Recipe
+from support.closing import opened
 
 ENGINES = [name for name in get_args(Engine) if installed(name)]
 ROBOTS = ("panda", "ur5", "iiwa")
@@ -46,11 +47,21 @@ def recipe(
     )
 
 
+def built(recipe: Recipe) -> Environment:
+    """Its environment."""
+    return opened(build_environment(recipe))
+
+
 def made(task: str, robot: str = "panda", **how: Any) -> RobotTask:
-    """The environment of that recipe."""
-    environment = build_environment(recipe(task, robot, **how))
+    """The environment of `recipe`."""
+    environment = built(recipe(task, robot, **how))
     assert isinstance(environment, RobotTask)
     return environment
+
+
+def world(engine: Engine, **how: Any) -> Any:
+    """An empty world."""
+    return opened(make_world(engine, **how))
 
 
 def values(*listed: float) -> Part:

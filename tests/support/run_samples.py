@@ -1,22 +1,98 @@
-"""Spec and folders of small runs."""
+"""Spec and folders of small runs, and what the index has of them."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from karolos.records import RunFolder
 from karolos.records.results import TestResult
+from karolos.records.run_records import RunRecord, RunSummary
+from karolos.store import Store
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
 
 
-def result(steps: int, successes: int, episodes: int = 20) -> TestResult:
+def result(
+    steps: int, successes: int, episodes: int = 20, *, end: int | None = None, value: float = -1.5, **others: Any
+) -> TestResult:
+    """A test whose first episodes succeed at some step. As many succeed at the end, the last ones, or the first `end`.
+
+    Every return is `value`.
+    """
     flags = tuple(index < successes for index in range(episodes))
-    return TestResult(steps, steps / 100, flags, flags[::-1], (False,) * episodes, (-1.5,) * episodes, (9,) * episodes)
+    ends = flags[::-1] if end is None else tuple(index < end for index in range(episodes))
+    never, returns, lengths = (False,) * episodes, (value,) * episodes, (9,) * episodes
+    return TestResult(steps, steps / 100, flags, ends, never, returns, lengths, **others)
 
 
-def new_run(runs: Path, **options: Any) -> RunFolder:
-    folder = RunFolder.create(runs, "reach", 3)
+def new_run(runs: Path, name: str = "reach", seed: int = 3, **options: Any) -> RunFolder:
+    folder = RunFolder.create(runs, name, seed)
     folder.describe(SPEC, experiment="abc", **options)
     return folder
+
+
+def indexed_run(store: Store, runs: Path, name: str = "reach", seed: int = 3) -> RunFolder:
+    """The same, in the index."""
+    run = new_run(runs, name, seed)
+    store.add_records([run.record()])
+    return run
+
+
+def add_run(
+    runs: Path,
+    seed: int,
+    successes: Sequence[int] = (19,),
+    *,
+    name: str = "reach",
+    rate: float = 0.001,
+    experiment: str | None = None,
+    spec: dict[str, Any] | None = None,
+    state: Any = "finished",
+    error: str | None = None,
+    text: str | None = None,
+    **measured: Any,
+) -> str:
+    """A run of a test every 1000 steps, in the folder's index; returns its id.
+
+    The first word of its name tells its experiment. `measured` is what each test has besides.
+    """
+    usual = {"name": name, "task": {"name": "reach"}, "agent": {"name": "sac", "learning_rate": rate}}
+    experiment = experiment or name.partition("-")[0].encode().hex().ljust(64, "0")
+    with RunFolder.create(runs, name, seed) as run, Store(Store.default_url(runs)) as store:
+        run.describe(spec or usual, experiment=experiment, text=text, source=runs)
+        for place, count in enumerate(successes, 1):
+            run.add_test(result(1000 * place, count, **measured))
+        run.set_state(state, steps=1000 * len(successes), seconds=10.0 * len(successes), error=error)
+        store.add_records([run.record()])
+        return run.id
+
+
+def stored(store: Store, run: str) -> RunRecord:
+    """What the index has of a run."""
+    (record,) = store.records([store.find(run)])
+    return record
+
+
+def bare(store: Store, run: str, **values: Any) -> RunSummary:
+    """A run that has no folder any more."""
+    summary = RunSummary(
+        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None),
+        **dict.fromkeys(("episodes", "environment", "robot", "task", "agent", "error"), None),
+        run=run,
+        experiment="abc",
+        seed=0,
+        state="finished",
+        steps=0,
+        seconds=0.0,
+        name="x",
+        attempt=1,
+        created="2026-01-01T00:00:00.000000Z",
+        updated="2026-01-01T00:00:00.000000Z",
+        folder="/nowhere/x",
+    )
+    summary = replace(summary, **values)
+    store.add_records([RunRecord(summary, SPEC, (), {})])
+    return summary

@@ -19,10 +19,10 @@ TOY: dict[str, Any] = {
 }
 
 
-def toy(**changes: Any) -> dict[str, Any]:
+def toy(base: dict[str, Any] = TOY, /, **changes: Any) -> dict[str, Any]:
     """The spec with other settings, which a part keeps beside its own."""
-    own = {key: TOY[key] | value for key, value in changes.items() if isinstance(TOY.get(key), dict)}
-    return TOY | changes | own
+    both = {key: value for key, value in changes.items() if isinstance(value, dict) and isinstance(base.get(key), dict)}
+    return base | changes | {key: base[key] | value for key, value in both.items()}
 
 
 REACH = toy(

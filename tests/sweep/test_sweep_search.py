@@ -6,16 +6,14 @@ import json
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from support.processes import child_processes
+from support.processes import child_processes, killed_when
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
@@ -53,14 +51,7 @@ def killed(tmp_path_factory) -> SweepOutcome:
     home = tmp_path_factory.mktemp("killed")
     command = [sys.executable, "-c", BEGIN, json.dumps(SPEC)]
     trials = home / "runs" / "sweeps" / "line" / "trials.jsonl"
-    with subprocess.Popen(command, cwd=home) as process:
-        until = time.monotonic() + 120
-        while time.monotonic() < until and process.poll() is None:
-            if trials.exists() and len(trials.read_text().splitlines()) >= 2:
-                break
-            time.sleep(0.01)
-        process.kill()
-    assert process.returncode == -signal.SIGKILL
+    killed_when(lambda: trials.exists() and len(trials.read_text().splitlines()) >= 2, command, alone=True, cwd=home)
     assert 2 <= len(trials.read_text().splitlines()) < TRIALS
     lost: list[int] = []
     others = set(child_processes())  # of earlier tests

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from support import run_samples
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.errors import UsageError
@@ -135,9 +136,8 @@ def test_importance_finds_what_matters(tmp_path):
 
 
 def result(steps: int, successes: int, value: float = -1.0) -> TestResult:
-    flags = tuple(place < successes for place in range(10))
     miss = {"unit": "m", "better": "smaller", "values": (None, 2.0, 3.0)}
-    return TestResult(steps, 1.0, flags, flags, (False,) * 10, (value,) * 10, (5,) * 10, measures={"miss": miss})
+    return run_samples.result(steps, successes, 10, value=value, measures={"miss": miss})
 
 
 TESTS = {0: [result(100, 2), result(200, 10)], 1: [result(100, 4), result(200, 8)]}

@@ -23,7 +23,6 @@ def slide(engine: str, drawn: dict[str, float]) -> float:
     cube.body.set_velocity((0.0, SPEED, 0.0))
     for _ in range(40):
         environment.step(np.zeros(3))
-    environment.close()
     assert np.linalg.norm(cube.velocity) < 1e-3
     assert abs(cube.position[0] + 0.6) < 0.02
     return cube.position[1]
@@ -56,7 +55,6 @@ def shoulder_torque(mass: float) -> tuple[float, float]:
     assert robot.pads_touching(cube.body) == 2
     assert cube.lowest > 0.05, "it is held in the air"
     torque = robot.body.joints([1])[0][3]
-    environment.close()
     x, y, _ = cube.position
     return torque, float(np.hypot(x, y))
 
@@ -84,8 +82,6 @@ def test_what_one_episode_drew_does_not_reach_the_next(task: str) -> None:
         for ours, theirs in zip(one, other, strict=True):
             np.testing.assert_array_equal(ours, theirs)
     np.testing.assert_array_equal(used.parameters(), fresh.parameters())
-    used.close()
-    fresh.close()
 
 
 @pytest.mark.parametrize("task", ["pick_place", "push"])
@@ -111,7 +107,6 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
         environment.step(still)
     np.testing.assert_array_equal(environment.reset(1).observation, start.observation)
     assert environment.divergences == 1
-    environment.close()
 
 
 def test_a_softer_cube_is_refused_where_the_engine_has_one_stiffness() -> None:
@@ -125,7 +120,6 @@ def test_a_softer_cube_is_refused_where_the_engine_has_one_stiffness() -> None:
         for _ in range(5):
             environment.step(np.zeros(3))
         depths.append(-environment.task.cube.lowest)
-        environment.close()
     # four corners, each a spring in a row with the floor's 4e6 N/m
     assert depths[0] == pytest.approx(0.1 * -GRAVITY / 4 * (1 / 1e4 + 1 / 4e6), rel=0.05)
     assert depths[1] < depths[0] / 50

@@ -16,7 +16,6 @@ CUBE_TASKS = ["pick_place", "push"]
 def test_goals_are_never_solved_at_reset_and_lie_where_they_should(task):
     environment = made(task)
     starts = [environment.reset(seed) for seed in range(60)]
-    environment.close()
     goals = np.stack([step.desired_goal for step in starts])
     cubes = np.stack([step.achieved_goal[:3] for step in starts])
     assert not any(step.success for step in starts)
@@ -36,7 +35,6 @@ def test_dense_rewards_stay_in_their_declared_range_and_end_higher_than_they_beg
     environment = made(task, reward="dense")
     low, high = environment.signature.reward_range
     steps = expert_episode(environment, 3)[1:]
-    environment.close()
     rewards = np.array([step.reward for step in steps])
     assert (rewards >= low).all()
     assert (rewards <= high).all()
@@ -52,7 +50,6 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
     for _ in range(12):
         step = environment.step(lift)
     apart = np.linalg.norm(step.achieved_goal[:3] - step.observation[tool])
-    environment.close()
     assert step.achieved_goal[2] > start.achieved_goal[2] + 0.1
     assert apart < 0.02
 
@@ -75,14 +72,12 @@ def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
         assert np.linalg.norm(step.observation[tool] - start.observation[tool]) < 0.002
     again = environment.reset(19)
     assert again.observation.tolist() == environment.reset(19).observation.tolist() == start.observation.tolist()
-    environment.close()
 
 
 def test_half_of_the_pushes_that_start_near_the_cube_start_above_the_floor():
     environment = made("push", start_near=1.0)
     tool = environment.signature.observation.slice("tool_position")
     heights = np.array([environment.reset(seed).observation[tool][2] for seed in range(200)])
-    environment.close()
     above = heights - heights.min()
     assert np.mean(above > 0.005) == pytest.approx(0.5, abs=0.1)
     assert 0.09 < above.max() <= 0.102
@@ -100,7 +95,6 @@ def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(
     close = [np.linalg.norm((start.achieved_goal[:3] - start.observation[tool])[:2]) < 0.01 for start in starts]
     assert np.mean(held) == pytest.approx(grasped, abs=0.08)
     assert np.mean(close) - np.mean(held) == pytest.approx(expected, abs=0.08)
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -126,7 +120,6 @@ def test_a_stack_counts_only_where_cubes_stand_on_each_other_and_nothing_holds_t
         assert step.success == counts, place
     lower.body.set_velocity((0.0, 0.0, 1.0))
     assert not environment.step(still).success
-    environment.close()
 
 
 @pytest.mark.parametrize(("stacked", "height"), [(0.0, 0.02), (1.0, 0.06)])
@@ -137,7 +130,6 @@ def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, heig
     assert steps[0].observation[second][2] == pytest.approx(height, abs=1e-3)
     assert not steps[0].success
     assert steps[-1].success
-    environment.close()
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -153,7 +145,6 @@ def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engin
     np.testing.assert_allclose(place[:2], ends[1], atol=1e-3)
     assert np.hypot(*place[:2]) > environment.robot.workspace.high[0]
     assert environment.task.nearest - 0.05 == pytest.approx(made("throw").task.planner.reach, abs=5e-3)
-    environment.close()
 
 
 def test_a_slide_may_succeed_where_it_is_not_rewarded() -> None:
@@ -172,7 +163,6 @@ def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way
     assert steps[-1].reward == 0
     assert not environment.task.lies
     assert not environment.robot.workspace.contains(environment.task.cube.position)
-    environment.close()
 
 
 def test_a_cube_wider_than_the_gripper_is_refused():
@@ -190,7 +180,6 @@ def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robo
         for _ in range(20):
             environment.step(lift)
         assert environment.task.cube.lowest > 0.1
-    environment.close()
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -202,7 +191,6 @@ def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
         for label in ["nothing"] * 8 + ["tool_position_change z +"] * 8 + ["nothing"] * 8:
             environment.step(np.array(labels.index(label)))
         assert environment.task.cube.lowest > 0.08
-    environment.close()
 
 
 @pytest.mark.parametrize("task", ["pick_place", "push", "throw"])
@@ -220,4 +208,3 @@ def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(
         np.testing.assert_allclose(tool, seen[field("tool_position")], atol=1e-6)
         assert np.abs(tool - environment.robot.tool_position).max() > 1e-4
     assert np.std(errors) == pytest.approx(noise, rel=0.25)
-    environment.close()

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.closing import opened
 from support.fourth_robot import ASKEW, HOME, small_arm
-from support.rig import ENGINES, ROBOTS, expert_episode, made, part, values
+from support.rig import ENGINES, ROBOTS, expert_episode, made, part, values, world
 
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.simulation.engines import make_world
 from karolos.simulation.geometry import rotated
 from karolos.tasks.insert import TOP, Insert, block, peg
 
@@ -21,7 +21,6 @@ COLOUR = (1.0, 1.0, 1.0, 1.0)
 def test_tests_start_above_the_hole_and_training_may_start_in_it():
     environment = made("insert")
     starts = np.stack([environment.reset(seed).achieved_goal for seed in range(20)])
-    environment.close()
     assert (np.abs(starts[:, :2]) <= 0.02 + 1e-6).all()
     assert starts[:, 2].min() > 0.02 - 1e-6
     assert starts[:, 2].max() < 0.05 + 1e-6
@@ -33,7 +32,6 @@ def test_tests_start_above_the_hole_and_training_may_start_in_it():
             after = inside.step(np.zeros(inside.signature.action.size, np.float32))
             assert after.achieved_goal[-1] == 0  # not squeezed by the walls
             assert abs(after.achieved_goal[0]) < 0.001
-        inside.close()
 
 
 WAYS = [
@@ -48,16 +46,15 @@ WAYS = [
 @pytest.mark.parametrize(("shape", "play", "turn", "fits"), WAYS)
 def test_a_peg_falls_into_a_hole_that_is_wider_and_into_no_other(shape, play, turn, fits):
     settings = Insert.Settings.model_validate({"chamfer": 0.0, "shape": shape}).model_copy(update={"play": play})
-    world = make_world("mujoco", substeps=10)
-    hole = world.body(block(settings), 0.0, COLOUR)
-    falling = world.body(peg(shape), 0.1, COLOUR)
+    empty = world("mujoco", substeps=10)
+    hole = empty.body(block(settings), 0.0, COLOUR)
+    falling = empty.body(peg(shape), 0.1, COLOUR)
     falling.set_inertia(0.1, (1.0, 1.0, 1.0))  # it does not tip where its ridge alone rests
     hole.place((0.0, 0.0, 0.0))
     falling.place((0.0, 0.0, TOP + 0.031), (0.0, 0.0, np.sin(turn / 2), np.cos(turn / 2)))
     for _ in range(20):
-        world.step()
+        empty.step()
     bottom = falling.pose()[0][2] - 0.03
-    world.close()
     assert bottom == pytest.approx(0.005 if fits else TOP, abs=2e-4)
 
 
@@ -65,7 +62,7 @@ def test_every_arm_inserts_the_connector_which_it_holds_by_its_sides(tmp_path):
     arm = small_arm(tmp_path)
     arm.model = replace(arm.model, home=(*HOME[:5], ASKEW))  # its pads close along x, the others' along y
     task = Insert(Insert.Settings(shape="connector"))
-    other = RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task)
+    other = opened(RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task))
     for environment in (other, *(made("insert", robot, shape="connector") for robot in ROBOTS)):
         environment.reset(0)
         held = rotated(environment.task.peg.pose()[1], (0.0, 1.0, 0.0))
@@ -75,7 +72,6 @@ def test_every_arm_inserts_the_connector_which_it_holds_by_its_sides(tmp_path):
             assert all(steps[-1].success for steps in episodes)
             turned = [abs(steps[0].achieved_goal[5]) for steps in episodes]
             assert max(turned) < np.pi / 4 + 0.01
-        environment.close()
 
 
 def test_every_arm_feels_its_way_into_a_tight_hole_that_it_does_not_know_exactly():
@@ -85,7 +81,6 @@ def test_every_arm_feels_its_way_into_a_tight_hole_that_it_does_not_know_exactly
         environment = made("insert", robot, environment={"substeps": 20}, arm=slow, **how)
         assert environment.signature.observation.names[-1] == "touch"
         assert all(expert_episode(environment, seed)[-1].success for seed in range(3))
-        environment.close()
 
 
 def test_policies_see_the_hole_as_it_is_known_and_critics_may_see_the_error():
@@ -101,8 +96,6 @@ def test_policies_see_the_hole_as_it_is_known_and_critics_may_see_the_error():
         known = seen.task.known
         np.testing.assert_allclose(np.add(seen.task.block.pose()[0][:2], errors[-1][:2]), known[:2], atol=1e-6)
     assert np.ptp(errors, axis=0) == pytest.approx([0.003, 0.003, 0.045], rel=0.7)
-    blind.close()
-    seen.close()
     twice = made("insert", environment={"critic_observes": ["hole_error", "peg_forces", "hole_error"]}, **how)
     assert twice.signature.observation.names == (*signature.observation.names, "peg_forces")
 
@@ -132,14 +125,12 @@ def test_a_peg_weighs_what_was_drawn(engine):
     for _ in range(12):
         environment.world.step()
     assert sum(environment.world.forces(environment.task.peg).values()) == pytest.approx(0.5 * 9.81, rel=0.01)
-    environment.close()
 
 
 def test_a_force_above_the_limit_fails_the_episode_whatever_comes_later():
     environment = made("insert", force_limit=2.0)
     steps = expert_episode(environment, 0)
     measured = dict(zip([m.name for m in environment.signature.measures], environment.measures(), strict=True))
-    environment.close()
     deep = [abs(step.achieved_goal[2] + 0.025) < 0.001 for step in steps]
     assert deep[-1]
     assert not steps[-1].success

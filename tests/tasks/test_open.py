@@ -17,7 +17,6 @@ def test_the_expert_opens_and_closes_a_door_with_every_arm(robot: str) -> None:
         steps = expert_episode(environment, seed)
         assert steps[-1].success
         further.append(steps[0].desired_goal[0] > steps[0].achieved_goal[0])
-    environment.close()
     assert 0 < sum(further) < 5
 
 
@@ -31,7 +30,6 @@ def test_training_may_start_above_the_handle_or_behind_its_bar_and_touches_nothi
         after = environment.step(np.zeros(3, np.float32))
         np.testing.assert_allclose(after.achieved_goal, begin.achieved_goal, atol=1e-5)
         assert not begin.success
-    environment.close()
 
 
 @pytest.mark.parametrize("mechanism", ["drawer", "door"])
@@ -55,5 +53,4 @@ def test_a_hooked_handle_moves_as_the_world_says_and_its_friction_holds_it(mecha
         away = np.subtract(environment.task.handle_at(environment.task.position), link.position)
         own = rotated(inverse(link.orientation), away)
         np.testing.assert_allclose(own[:2], environment.task.handle, atol=1e-3)
-    environment.close()
     assert forces[1] > forces[0] + 15

@@ -19,4 +19,3 @@ def test_an_expert_picks_an_l_with_every_arm(engine: str, tmp_path: Path, monkey
         environment = with_part(PickPart, part, robot, engine)
         for seed in range(3 if engine == "mujoco" else 1):
             assert expert_episode(environment, seed)[-1].success, robot
-        environment.close()

@@ -100,7 +100,6 @@ def test_actions_in_the_frame_of_the_tool_move_it_along_its_own_axes(control: st
     assert after.position[2] < before.position[2] - 0.01
     assert turned[2] < -0.08
     assert np.linalg.norm(turned[:2]) < 0.02
-    environment.close()
 
 
 @pytest.mark.parametrize("wrong", [(0, 500), (500, 200), (300, 300), (1, 1e9)])
@@ -126,4 +125,3 @@ def test_a_seventh_number_chooses_the_stiffness_and_what_is_observed_has_noise()
     assert left[1] < 0.5 * left[0]
     assert layout.slice("joint_torques").stop == layout.size
     assert 0.1 < np.abs(step.observation[layout.slice("wrench")][:3]).max() < 5
-    environment.close()

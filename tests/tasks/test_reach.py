@@ -16,7 +16,6 @@ def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals: str, edges: 
         low, high = centre[axis] - edge / 2, centre[axis] + edge / 2
         assert low - 1e-6 <= drawn[:, axis].min() < low + 0.05 * edge
         assert high - 0.05 * edge < drawn[:, axis].max() <= high + 1e-6
-    environment.close()
 
 
 def test_threshold_that_leaves_no_goal_is_refused() -> None:
@@ -30,4 +29,3 @@ def test_marker_stands_at_the_goal() -> None:
     without = environment.render(80, 60).astype(int)
     environment.world._markers[0][0].place((0.0, 0.0, -50.0))
     assert np.abs(environment.render(80, 60) - without).max() > 20
-    environment.close()

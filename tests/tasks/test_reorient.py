@@ -17,7 +17,6 @@ def test_the_expert_brings_a_cylinder_to_its_pose() -> None:
         assert steps[-1].success
         assert not steps[0].success
         stood.append(abs(axes(environment.task.goal_rotation)[2][2]) > 0.7)
-    environment.close()
     assert 0 < sum(stood) < 4
 
 
@@ -36,7 +35,6 @@ def test_training_may_start_with_the_object_in_the_hand_or_near_it(start: str, s
             after = environment.step(action)
         np.testing.assert_allclose(after.achieved_goal, begin.achieved_goal, atol=0.02)
         assert np.linalg.norm(after.observation[layout.slice("object_from_tool")]) < 0.1
-    environment.close()
     assert min(heights) == pytest.approx(0.0, abs=1e-3) or start == "start_carried"
     assert (max(heights) > 0.05) == (start == "start_carried")
 
@@ -59,7 +57,6 @@ def test_training_may_start_with_the_gripper_right_over_the_object_turned_away_a
         for _ in range(3):
             after = environment.step(still)
         np.testing.assert_allclose(after.achieved_goal, begin.achieved_goal, atol=1e-3)
-    environment.close()
     assert min(openings) < 0.3
     assert max(openings) > 0.7
     assert max(apart) > 0.5

@@ -80,7 +80,6 @@ def test_each_stage_of_an_episode_is_worth_more_than_the_one_before():
 def test_rewards_of_an_episode_follow_from_the_goals_alone_so_that_hindsight_can_compute_them_anew():
     environment = made("pick_place", reward="dense")
     steps = expert_episode(environment, 4)
-    environment.close()
     achieved = np.stack([step.achieved_goal for step in steps[1:]])
     desired = np.stack([step.desired_goal for step in steps[1:]])
     rule = environment.signature.goal_rule
@@ -99,7 +98,6 @@ def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot: str):
     for _ in range(6):
         held = environment.step(close)
     assert held.achieved_goal[6] == 1
-    environment.close()
     environment = made("pick_place", robot, reward="dense")
     environment.reset(1)
     view = environment.robot
@@ -108,4 +106,3 @@ def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot: str):
         pressed = environment.step(view.towards((x, y, 0.15 if step < 20 else z), 0.0))
     assert view.pads_touching(environment.task.cube.body) > 0
     assert pressed.achieved_goal[6] == 0
-    environment.close()

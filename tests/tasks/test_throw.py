@@ -68,7 +68,6 @@ def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw() -> None:
     environment = made("throw", sector=20)
     task = task_of(environment)
     starts = [environment.reset(seed) for seed in range(40)]
-    environment.close()
     targets = np.stack([step.desired_goal for step in starts])
     away = np.hypot(*targets.T)
     assert (away >= task.planner.reach + task.settings.threshold - 1e-5).all()
@@ -85,7 +84,6 @@ def test_the_cube_starts_in_the_gripper_and_stays_there_while_it_is_held() -> No
     cube = environment.signature.observation.slice("object_position")
     steps = [environment.reset(3)]
     steps += [environment.step(holding(environment)) for _ in range(10)]
-    environment.close()
     for step in steps:
         assert np.linalg.norm(step.observation[tool] - step.observation[cube]) < 0.005
         assert step.achieved_goal[2] == 0
@@ -114,7 +112,6 @@ def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_th
     flight, *cross = task.strokes()
     np.testing.assert_allclose(flight.points[-1][:2], landing[:2], atol=1e-6)
     assert len(cross) == 2
-    environment.close()
 
 
 def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success() -> None:
@@ -126,7 +123,6 @@ def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success() -> 
     while not step.terminated:
         assert step.reward == 0
         step = environment.step(action)
-    environment.close()
     assert step.achieved_goal[2] == 1
     assert not step.success
     assert 0 < step.reward < 1
@@ -145,7 +141,6 @@ def test_a_cube_that_is_carried_to_the_floor_has_not_landed() -> None:
     down = environment.robot.towards((x, y, 0.0), 0.0)
     while not (step.terminated or step.truncated):
         step = environment.step(down)
-    environment.close()
     assert step.terminated
     assert step.achieved_goal[2] == -1
     assert not step.success
@@ -163,7 +158,6 @@ def test_a_hand_that_touches_the_floor_before_the_landing_has_failed(engine: str
     step = environment.step(down)
     while not step.terminated:
         step = environment.step(down)
-    environment.close()
     assert step.achieved_goal[2] == -1
     assert not step.success
     assert task.cube.position[2] > 0.1
@@ -202,7 +196,6 @@ def test_gravity_moves_the_landing_as_it_should() -> None:
         count = 1
         while not environment.step(action).terminated:
             count += 1
-        environment.close()
         return count
 
     assert steps(-9.81) < steps(-4.9) < 1.8 * steps(-9.81)
@@ -223,7 +216,6 @@ def test_no_constant_throw_hits_often(robot: str) -> None:
     environment = made("throw", robot)
     targets = np.stack([environment.reset(seed).desired_goal for seed in range(300)])
     threshold = task_of(environment).settings.threshold
-    environment.close()
     away = np.hypot(*targets.T)
     distances, turns = np.linspace(away.min(), away.max(), 40), np.linspace(-0.52, 0.52, 21)
     landings = [(a * np.cos(turn), a * np.sin(turn)) for a in distances for turn in turns]
@@ -238,7 +230,6 @@ def test_the_observation_says_where_and_when_a_flying_cube_lands(robot: str) -> 
     field = environment.signature.observation.slice
     period = environment.robot.period
     flying = [step for step in steps[:-1] if np.linalg.norm(step.observation[field("object_from_tool")]) > 0.15]
-    environment.close()
     left = len(steps) - 1 - next(index for index, step in enumerate(steps) if step is flying[0])
     seen = flying[0].observation
     assert np.linalg.norm(seen[field("landing_if_released")] - steps[-1].achieved_goal[:2]) < 0.04
@@ -257,8 +248,6 @@ def test_an_episode_may_end_at_the_release_with_the_landing_that_follows(robot: 
         assert np.linalg.norm(released[-1].achieved_goal[:2] - landed[-1].achieved_goal[:2]) < 0.001  # m
         for one, other in zip(released[:-1], landed, strict=False):
             np.testing.assert_array_equal(one.observation, other.observation)
-    whole.close()
-    short.close()
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
@@ -274,8 +263,6 @@ def test_throws_start_as_far_from_home_as_the_setting_or_the_parameter_says(robo
     assert (np.array(starts[0]) > low - 0.02).all()  # m; joints start with a small error
     assert (np.array(starts[0]) < high + 0.02).all()
     assert (np.ptp(starts[0], 0) >= 0.6 * (high - low)).all()
-    for environment in (fixed, drawn):
-        environment.close()
 
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
@@ -304,6 +291,5 @@ def test_nearly_the_same_throw_lands_nearly_at_the_same_point():
         counts, *places, statuses = np.array(landings).T if landings else (np.zeros(0),) * 4
         if len(counts) == 5 and (statuses > 0).all() and np.ptp(counts) == 0:  # no hand touched the cube again
             apart.append(np.linalg.norm(np.std(places, axis=1)))
-    environment.close()
     assert len(apart) >= 12
     assert np.mean(apart) < 0.002  # m

@@ -119,9 +119,8 @@ def shared_memory() -> set[str]:
     return {path.name for path in shm.glob("psm_*")} if shm.is_dir() else set()
 
 
-@pytest.mark.parametrize("mode", ["lockstep", "async"])
-def test_a_resumed_run_says_whether_it_goes_on_bit_for_bit(mode: str, tmp_path: Path) -> None:
-    spec = LEARNS | {"training": LEARNS["training"] | {"mode": mode, "steps": 600}}
+def test_an_asynchronous_run_that_resumes_says_that_it_does_not_go_on_bit_for_bit(tmp_path: Path) -> None:
+    spec = LEARNS | {"training": LEARNS["training"] | {"mode": "async", "steps": 600}}
     spec["testing"] = {"interval": 200, "episodes": 4}
     first = Experiment(spec).run(tmp_path, listener=stop_after(200))
     assert first.runs[0].state == "stopped"
@@ -131,7 +130,7 @@ def test_a_resumed_run_says_whether_it_goes_on_bit_for_bit(mode: str, tmp_path: 
     assert outcome.runs[0].steps >= 600
     assert [test.steps // 200 for test in folder.tests()] == [1, 2, 3]
     (resumed,) = [event for event in folder.events() if event["event"] == "resumed"]
-    assert resumed["bit_exact"] is (mode == "lockstep")
+    assert not resumed["bit_exact"]
     rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
     episodes = [(row["environment"], row["index"]) for row in rows]
     assert len(set(episodes)) == len(episodes) > 20

@@ -5,13 +5,12 @@ from __future__ import annotations
 import os
 import shutil
 import signal
-import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
 from support.fake_launcher import FakeLauncher
+from support.processes import killed_when
 from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.errors import RunError, SpecError, UsageError
@@ -22,14 +21,9 @@ from karolos.store import Store, check
 from karolos.transfer.matrix import Matrix, MatrixRuns
 from karolos.transfer.results import transfer_report
 
-pytestmark = pytest.mark.xdist_group(__name__)
+pytestmark = pytest.mark.xdist_group("transfer")
 
 TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
-
-
-@pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
-    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
 
 
 def numbers(found: MatrixRuns) -> list[object]:
@@ -97,18 +91,12 @@ def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one
     undisturbed: MatrixRuns, tmp_path: Path
 ) -> None:
     code = "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
-    with subprocess.Popen(
+    killed_when(
+        lambda: list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")),
         [sys.executable, "-c", code],
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-        start_new_session=True,
-    ) as process:
-        deadline = time.monotonic() + 300
-        while not list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")):
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.01)
-        os.killpg(process.pid, signal.SIGKILL)
+    )
     found, started = run_matrix(tmp_path / "runs", resume=True)
     assert started in (["line-fast-to-slow", *["line-slow-to-fast"] * 2], ["line-slow-to-fast"] * 2)
     assert numbers(found) == numbers(undisturbed)

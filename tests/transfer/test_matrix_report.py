@@ -18,22 +18,17 @@ from karolos.transfer.matrix import MatrixRuns
 from karolos.transfer.page import cells_table, matrix_table, metric_map, notes, page, transfer_figures, variants_table
 from karolos.transfer.results import TransferReport, _paired, transfer_report
 
-pytestmark = pytest.mark.xdist_group(__name__)
+pytestmark = pytest.mark.xdist_group("transfer")
 
 
 @pytest.fixture(scope="module")
-def found(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
-    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
+def report(undisturbed: MatrixRuns) -> TransferReport:
+    return transfer_report(undisturbed)
 
 
-@pytest.fixture(scope="module")
-def report(found: MatrixRuns) -> TransferReport:
-    return transfer_report(found)
-
-
-def test_numbers_are_those_of_the_folders(found: MatrixRuns, report: TransferReport) -> None:
+def test_numbers_are_those_of_the_folders(undisturbed: MatrixRuns, report: TransferReport) -> None:
     (cell,) = [one for one in report.cells if (one.source, one.target) == ("fast", "slow")]
-    tests = found.zero_shot["fast", "slow"]
+    tests = undisturbed.zero_shot["fast", "slow"]
     zero = [tests[seed].result.success_end for seed in (0, 1)]
     own = [tests[seed].own.success_end for seed in (0, 1)]
     shot = cell.estimates["zero_shot"]
@@ -42,7 +37,7 @@ def test_numbers_are_those_of_the_folders(found: MatrixRuns, report: TransferRep
         assert cell.estimates["retention"].value == pytest.approx(np.mean(zero) / np.mean(own))
     gains, ends, areas = [], [], []
     for seed in (0, 1):
-        tuned, scratch = found.fine_tuned["fast", "slow"][seed], found.sources["slow"][seed]
+        tuned, scratch = undisturbed.fine_tuned["fast", "slow"][seed], undisturbed.sources["slow"][seed]
         curves = [{test.steps: test.success_end for test in run.tests()} for run in (tuned, scratch)]
         assert [list(curve) for curve in curves] == [[20, 40, 60, 80], [40, 80, 120, 160]]
         gains.append(curves[0][40] - curves[1][40])
@@ -75,11 +70,11 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
     assert row["ceiling"] is None  # a toy has no expert
 
 
-def test_rows_say_which_seeds_and_how_many_pairs_count(found: MatrixRuns) -> None:
+def test_rows_say_which_seeds_and_how_many_pairs_count(undisturbed: MatrixRuns) -> None:
     pair = ("fast", "slow")
-    tests = {**found.zero_shot, pair: {1: found.zero_shot[pair][1]}}
-    runs = {**found.sources, "slow": {0: found.sources["slow"][0]}}
-    row = transfer_report(replace(found, zero_shot=tests, sources=runs)).rows()[1]
+    tests = {**undisturbed.zero_shot, pair: {1: undisturbed.zero_shot[pair][1]}}
+    runs = {**undisturbed.sources, "slow": {0: undisturbed.sources["slow"][0]}}
+    row = transfer_report(replace(undisturbed, zero_shot=tests, sources=runs)).rows()[1]
     assert (row["seeds"], len(row["zero_shot"]["each"]), row["fine_tuned_seeds"]) == ([1], 1, [0, 1])
     assert (row["jump_start"]["pairs"], row["jump_start"]["alone"]) == (1, 1)
 
@@ -93,12 +88,12 @@ def test_a_pair_without_a_value_of_its_own_is_counted_and_noted(report: Transfer
     assert said in notes(replace(report, cells=tuple(cells)))
 
 
-def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(found: MatrixRuns, tmp_path: Path) -> None:
-    folder = found.sources["fast"][0]
+def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+    folder = undisturbed.sources["fast"][0]
     tests = folder.path / "tests.jsonl"
     moved = tests.rename(tmp_path / "tests.jsonl")
     try:
-        report = transfer_report(found)
+        report = transfer_report(undisturbed)
     finally:
         moved.rename(tests)
     assert report.warnings == (f"{folder.id} has lost its tests and is left out",)

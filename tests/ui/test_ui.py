@@ -6,7 +6,6 @@ import asyncio
 import re
 import socket
 import threading
-import time
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
 
@@ -15,8 +14,8 @@ from karolos_cli.ui import ui
 from starlette.testclient import TestClient
 from support.commands import call
 from support.compared_runs import EVIL
-from support.run_commands import add_run
-from support.store_samples import bare
+from support.processes import wait_for
+from support.run_samples import add_run, bare
 from support.sweep_samples import some_trial, write_sweep
 from typer import Typer
 
@@ -44,7 +43,7 @@ def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path: Pat
     assert "karolos run panda_reach" in page.get("/").text  # what to do next
     for seed in (0, 1):
         add_run(tmp_path, seed)
-    other = add_run(tmp_path, 0, 0.1, name="slide")
+    other = add_run(tmp_path, 0, rate=0.1, name="slide")
     text = page.get("/").text
     assert text.count("data-row") == 2
     assert f"/runs/{other}" in text
@@ -94,7 +93,7 @@ def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path: 
 
 def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
     add_run(tmp_path, 0)
-    add_run(tmp_path, 0, 0.1, name="slide")
+    add_run(tmp_path, 0, rate=0.1, name="slide")
     page = client(tmp_path)
     store = Store(Store.default_url(tmp_path))
     one, two = (store.runs(name=name)[0].experiment for name in ("reach", "slide"))
@@ -216,11 +215,8 @@ def test_a_film_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest
     run = add_run(tmp_path, 0)
     monkeypatch.setattr("sys.executable", "/bin/false")
     page = client(tmp_path)
-    text = page.post(f"/runs/{run}/film/failures").text
-    until = time.monotonic() + 20
-    while "is being made" in text and time.monotonic() < until:
-        text = page.get(f"/runs/{run}").text
-    assert "it ended with 1" in text
+    page.post(f"/runs/{run}/film/failures")
+    wait_for(lambda: "it ended with 1" in page.get(f"/runs/{run}").text)
     assert page.get(f"/runs/{run}/film/failures").status_code == 404
     (RunFolder.open(tmp_path / run).path / "play.mp4").write_bytes(b"film")
     part = page.get(f"/runs/{run}/film/episodes", headers={"range": "bytes=0-1"})
@@ -262,7 +258,7 @@ def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
 
 def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path: Path) -> None:
     add_run(tmp_path, 0)
-    add_run(tmp_path, 1, name="reach-mine", state="stopped", solved=0)
+    add_run(tmp_path, 1, name="reach-mine", successes=(0,), state="stopped")
     store = Store(Store.default_url(tmp_path))
     [row] = experiment_rows(store, store.experiments().experiments)
     assert row.name == "reach-mine, reach"

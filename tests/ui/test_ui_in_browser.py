@@ -19,8 +19,7 @@ from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Mount, Route
 from support.compared_runs import EVIL
-from support.run_commands import add_run
-from support.store_samples import SPEC, bare
+from support.run_samples import SPEC, add_run, bare
 
 from karolos.records.results import TestCounts
 from karolos.records.run_records import RunRecord

@@ -1,4 +1,4 @@
-"""Help and commands that only ask the index start fast: what they do not need is not imported."""
+"""What a command or a module does not need is not imported, so that it starts fast and is small in a worker."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from support.run_commands import add_run
+from support.run_samples import add_run
 
 HEAVY = (
     "alembic",
@@ -59,11 +59,12 @@ def test_help_and_the_index_import_only_what_they_need(tmp_path: Path, command: 
     assert imported([*HEAVY, *more], *command.split(), *runs) == "imported:"
 
 
-def test_comparing_imports_nothing_that_trains_or_draws(tmp_path: Path) -> None:
+@pytest.mark.parametrize("command", ["compare reach", "runs show @last"])
+def test_comparing_and_showing_import_nothing_that_trains_or_draws(tmp_path: Path, command: str) -> None:
     add_run(tmp_path, 0)
     needed = ("numpy", "sqlalchemy.orm", "yaml")
     heavy = [name for name in HEAVY if name not in needed]
-    assert imported(heavy, "compare", "reach", "--runs", str(tmp_path)) == "imported:"
+    assert imported(heavy, *command.split(), "--runs", str(tmp_path)) == "imported:"
 
 
 def imported(heavy: list[str], *words: str) -> str:
@@ -71,3 +72,26 @@ def imported(heavy: list[str], *words: str) -> str:
     code = CALL.format(heavy=heavy)
     ended = subprocess.run([sys.executable, "-c", code, "-", *words], capture_output=True, text=True, check=True)
     return ended.stderr.splitlines()[-1]
+
+
+DESCRIBE = """
+import karolos.specification
+from karolos.specification.parts import OfKind
+for kind, name in [("environments", "toy"), ("robots", "panda"), ("tasks", "reach")]:
+    OfKind(kind).validate({"name": name})
+"""
+
+
+@pytest.mark.parametrize(
+    ("code", "heavy"),
+    [
+        ("import karolos", "torch numpy sqlalchemy pydantic gymnasium importlib.metadata"),
+        ("import karolos.export", "torch pydantic pybullet mujoco onnx"),
+        ("import karolos.checkpoint", "torch"),
+        ("import karolos.orchestrator.local", "torch pybullet mujoco sqlalchemy"),
+        (DESCRIBE, "torch pybullet mujoco sqlalchemy typer"),
+    ],
+)
+def test_a_module_imports_only_what_it_needs(code: str, heavy: str) -> None:
+    script = f"{code}\nimport sys\nprint([name for name in {heavy.split()} if name in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True).stdout == "[]\n"

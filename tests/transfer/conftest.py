@@ -1,0 +1,13 @@
+"""A matrix that nobody disturbed, for all tests of a worker."""
+
+from __future__ import annotations
+
+import pytest
+from support.transfer_samples import run_matrix
+
+from karolos.transfer.matrix import MatrixRuns
+
+
+@pytest.fixture(scope="session")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> MatrixRuns:
+    return run_matrix(tmp_path_factory.mktemp("runs"))[0]
