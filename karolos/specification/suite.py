@@ -15,13 +15,13 @@ from pydantic import ValidationError
 
 from ..core import Settings
 from ..errors import KarolosError, Problem, SpecError
+from .bind import Invalid
+from .explain import explain
 from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
 from .load import load_spec
-from .merge import nested
 from .model import Name, Spec
-from .nodes import Node, refuse, shown
 from .parts import validate_strictly
-from .problems import located_problems
+from .tree import Node, nested, refuse, shown
 
 
 class SuiteEntry(Settings):
@@ -99,7 +99,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     try:
         found: SuiteFile = validate_strictly(SuiteFile, tree.plain())
     except ValidationError as error:
-        refuse(located_problems(error, tree, SuiteFile))
+        refuse(explain([Invalid((), SuiteFile, error)], tree, {}))
         raise
     specs, written, refused = dict[str, Spec](), dict[str, Spec](), dict[str, SpecError]()
     problems: dict[str, Problem] = {}

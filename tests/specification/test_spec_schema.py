@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 from jsonschema import Draft202012Validator
 
+from karolos.specification.files import read
 from karolos.specification.schema import spec_schema
-from karolos.specification.yaml_text import read
 
 
 def valid(text: str) -> bool:

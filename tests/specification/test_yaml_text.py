@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from karolos.specification.yaml_text import BrokenTextError, read, scalar, to_yaml
+from karolos.specification.files import BrokenTextError, read, scalar, to_yaml
 
 
 @pytest.mark.parametrize(
