@@ -16,7 +16,7 @@ from typing import Any, NoReturn
 
 import yaml
 
-from ..errors import Problem, UsageError
+from ..errors import Problem, SpecError, UsageError
 from ..registry import closest
 from .tree import (
     MAX_DEPTH,
@@ -27,6 +27,7 @@ from .tree import (
     merged,
     nested,
     normalised,
+    refusal,
     refuse,
     segments,
     shown,
@@ -127,12 +128,11 @@ class SpecFiles:
         """
         path, name = find_spec(self.root)
         if wrong := unreadable(path):
-            refuse([Problem(Mark(name), "", *wrong)])
+            raise refusal(Mark(name), *wrong)
         try:
             return self._load(path, name, ())
-        except BrokenTextError as broken:
-            refuse([*self.problems, *self.broken, broken.problem])
-            raise
+        except SpecError as error:
+            raise SpecError([*self.problems, *self.broken, *error.problems]) from None
 
     def _load(self, path: Path, name: str, above: tuple[str, ...]) -> Node:
         file = os.path.realpath(path)
@@ -145,53 +145,35 @@ class SpecFiles:
         node, problems = read(text, name, rank)
         self.problems.extend(problems)
         if node is None:
-            raise BrokenTextError(Problem(start, "", "the file is empty", "give at least robot, task and agent"))
+            raise refusal(start, "the file is empty", "give at least robot, task and agent")
         if node.mapping is None:
-            raise BrokenTextError(
-                Problem(node.at, "", "a spec is a mapping of keys to values", "begin with `robot: NAME`")
-            )
+            raise refusal(node.at, "a spec is a mapping of keys to values", "begin with `robot: NAME`")
         entries = dict(node.mapping)
         extends = entries.pop("extends", None)
         tree = normalised(Node(entries, start))
-        for target in reversed(self._targets(extends)):
-            base = self._base(target, Path(file), name, (*above, file))
-            tree = merged(base, tree) if base else tree
+        if extends is not None and extends.value is not None:
+            for target in reversed([extends] if extends.items is None else extends.items):
+                try:
+                    tree = merged(self._base(target, Path(file), name, (*above, file)), tree)
+                except SpecError as error:
+                    self.broken += error.problems
         self._done[file] = tree
         return tree
 
-    def _targets(self, extends: Node | None) -> list[Node]:
-        if extends is None or extends.value is None:
-            return []
-        targets = extends.items if extends.items is not None else [extends]
-        for target in targets:
-            if not isinstance(target.value, str) or not target.value:
-                what = "should be a path, or a list of paths, relative to this file"
-                self.broken.append(Problem(target.at, "extends", what))
-        return [target for target in targets if isinstance(target.value, str) and target.value]
-
-    def _base(self, target: Node, path: Path, name: str, above: tuple[str, ...]) -> Node | None:
-        """The tree of a file that `path` extends; None after recording a problem."""
+    def _base(self, target: Node, path: Path, name: str, above: tuple[str, ...]) -> Node:
+        """The tree of a file that `path` extends. Raises SpecError."""
         given = target.value
-        if given.startswith(SHIPPED):
-            base, name = find_spec(given)
-        else:
-            base, name = path.parent / given, beside(name, given)
-        if found := list(variable_problems(target, ("extends",))):
-            self.broken += found
-            return None
+        if not isinstance(given, str) or not given:
+            raise refusal(target.at, "should be a path, or a list of paths, relative to this file", setting="extends")
+        refuse(variable_problems(target, ("extends",)))
+        shipped = given.startswith(SHIPPED)
+        base, name = find_spec(given) if shipped else (path.parent / given, beside(name, given))
         if wrong := unreadable(base):
-            self.broken.append(Problem(target.at, "extends", f"{shown(given)}: {wrong[0]}", wrong[1]))
-            return None
-        file = os.path.realpath(base)
-        if file in above:
+            raise refusal(target.at, f"{shown(given)}: {wrong[0]}", wrong[1], setting="extends")
+        if (file := os.path.realpath(base)) in above:
             chain = " -> ".join(shown(os.path.basename(one)) for one in (*above[above.index(file) :], file))
-            self.broken.append(Problem(target.at, "extends", f"is a circle: {chain}", "remove one of them"))
-            return None
-        try:
-            return self._load(base, name, above)
-        except BrokenTextError as broken:
-            self.broken.append(broken.problem)
-            return None
+            raise refusal(target.at, f"is a circle: {chain}", "remove one of them", setting="extends")
+        return self._load(base, name, above)
 
 
 def beside(name: str, given: str) -> str:
@@ -235,13 +217,13 @@ def _text(path: Path, mark: Mark) -> str:
         with path.open("rb") as file:
             data = file.read(4 * MAX_CHARACTERS + 1)
         if len(data) > 4 * MAX_CHARACTERS:
-            raise BrokenTextError(Problem(mark, "", f"longer than {MAX_CHARACTERS // 1024} kB"))
+            raise refusal(mark, f"longer than {MAX_CHARACTERS // 1024} kB")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = Mark(mark.source, data[: error.start].count(b"\n") + 1, rank=mark.rank)
-        raise BrokenTextError(Problem(at, "", "is not UTF-8 text", "save the file in UTF-8")) from None
+        raise refusal(at, "is not UTF-8 text", "save the file in UTF-8") from None
     except OSError as error:
-        raise BrokenTextError(Problem(mark, "", f"cannot be read: {error.strerror or error}")) from None
+        raise refusal(mark, f"cannot be read: {error.strerror or error}") from None
 
 
 def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem]) -> list[Node]:
@@ -250,9 +232,9 @@ def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem])
     for place, text in enumerate(overrides):
         mark = Mark(f"override {shown(text)}", rank=rank + place)
         try:
-            trees.append(_override(text, mark, problems))
-        except BrokenTextError as broken:
-            problems.append(broken.problem)
+            trees.append(_override(text, mark))
+        except SpecError as error:
+            problems += error.problems
     return trees
 
 
@@ -267,21 +249,21 @@ def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
     return settings
 
 
-def _override(text: str, mark: Mark, problems: list[Problem]) -> Node:
+def _override(text: str, mark: Mark) -> Node:
     key, equals, value = text.partition("=")
     if not equals:
-        raise BrokenTextError(Problem(mark, "", "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4"))
+        raise refusal(mark, "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4")
     if not all(path := segments(key.strip())):
-        raise BrokenTextError(Problem(mark, "", f"{shown(key)!r} is not a path of keys", "write path.to.key=value"))
+        raise refusal(mark, f"{shown(key)!r} is not a path of keys", "write path.to.key=value")
     if path[0] == "extends":
-        raise BrokenTextError(Problem(mark, "extends", "cannot be overridden", "put it into the spec file"))
+        raise refusal(mark, "cannot be overridden", "put it into the spec file", setting="extends")
     try:
-        node, value_problems = read(value, mark.source, mark.rank)
-    except BrokenTextError as broken:
-        raise BrokenTextError(_in_value(broken.problem, key)) from None
-    problems.extend(_in_value(problem, key) for problem in value_problems)
+        node, problems = read(value, mark.source, mark.rank)
+        refuse(problems)
+    except SpecError as error:
+        raise SpecError([_in_value(problem, key) for problem in error.problems]) from None
     if node is None and value.strip():
-        raise BrokenTextError(Problem(mark, key, "the value is a comment", "put it in quotes: key='\"#...\"'"))
+        raise refusal(mark, "the value is a comment", "put it in quotes: key='\"#...\"'", setting=key)
     return nested(key.strip(), from_plain(node and node.plain(), mark))
 
 
@@ -290,14 +272,6 @@ def _in_value(problem: Problem, key: str) -> Problem:
     mark = problem.where
     column = f"column {len(key) + 1 + mark.column}: " if mark.line == 1 else ""
     return Problem(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
-
-
-class BrokenTextError(Exception):
-    """Reading the text cannot continue; carries the problem and its position."""
-
-    def __init__(self, problem: Problem) -> None:
-        super().__init__(problem.what)
-        self.problem = problem
 
 
 def scalar(text: str) -> Scalar:
@@ -320,7 +294,7 @@ def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Probl
         The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
 
     Raises:
-        BrokenTextError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
+        SpecError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """
     reader = _Reader(source, rank)
     if len(text) > MAX_CHARACTERS:
@@ -348,7 +322,7 @@ class _Reader:
     _count: int = 0
 
     def fail(self, mark: Any, what: str, hint: str | None = None) -> NoReturn:
-        raise BrokenTextError(Problem(self._place(mark), "", what, hint))
+        raise refusal(self._place(mark), what, hint)
 
     def node(self, found: Any, depth: int) -> Node:
         self._count += 1

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from .tree import (
     merge,
     nested,
     normalised,
+    refusal,
     refuse,
     segments,
     shown,
@@ -46,7 +47,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     tree = files.load()
     if (specs := tree.get("specs")) is not None:
         hint = f"`karolos suite {shown(str(path))}` trains it"
-        refuse([Problem(specs.place, "specs", "the file is a suite, not a spec", hint)])
+        raise refusal(specs.place, "the file is a suite, not a spec", hint, setting="specs")
     trees = override_trees(overrides, files.count, files.broken)
     if files.broken:
         refuse([*files.problems, *files.broken])
@@ -54,7 +55,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     if spec.continued_from is not None:
         what = "only `karolos resume RUN training.steps=...` continues a run; a spec begins one"
         at = next(one["continued_from"].place for one in (*reversed(trees), tree) if one.get("continued_from"))
-        refuse([Problem(at, "continued_from", what, "remove it")])
+        raise refusal(at, what, "remove it", setting="continued_from")
     spec._text = files.text
     return spec
 
@@ -63,22 +64,15 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
     """The spec in a dictionary. Raises as `load_spec` does, with "dict" as the position."""
     mark = Mark("dict")
     if "extends" in spec:
-        refuse([Problem(mark, "extends", "a dictionary has no file to extend from", "load the file with load_spec")])
+        raise refusal(mark, "a dictionary has no file to extend from", "load it with load_spec", setting="extends")
     problems: list[Problem] = []
     trees = override_trees(overrides, 1, problems)
     refuse(problems)
     return _spec(normalised(from_plain(spec, mark)), trees)
 
 
-@dataclass(frozen=True)
-class _Resolved:
-    tree: Node
-    spec: Spec | None
-    problems: list[Problem]
-
-
-def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> _Resolved:
-    """What is written, with changes on top, as a Spec, or its problems where the mistakes stand.
+def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> tuple[Node, Spec | None, list[Problem]]:
+    """The tree of what is written, with changes on top, its Spec if it is valid, and the problems, where they stand.
 
     Raises:
         PluginError: a plugin is broken; at the position that names it.
@@ -86,7 +80,7 @@ def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> _Resol
     tree = merge(written, changes, stem)
     plugins, problems = bind(tree)
     spec, invalid = validate(tree, plugins)
-    return _Resolved(tree, spec, [*problems, *explain(invalid, tree, plugins)])
+    return tree, spec, [*problems, *explain(invalid, tree, plugins)]
 
 
 def _spec(
@@ -97,15 +91,13 @@ def _spec(
     Raises:
         SpecError: it is invalid; carries these and all other problems, each at the change that causes it.
     """
-    found = _resolve(written, changes, stem)
-    refuse([*problems, *variable_problems(found.tree), *_at_causes(found.problems, written, changes, stem)])
-    spec = found.spec
+    tree, spec, found = _resolve(written, changes, stem)
+    refuse([*problems, *variable_problems(tree), *_at_causes(found, written, changes, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
-        entries = {key: node for key, node in (found.tree.mapping or {}).items() if key != SWEEP}
-        base = Node(entries, found.tree.at)
-        refuse(space_problems(found.tree[SWEEP]["space"], spec.sweep, lambda one: _resolve(base, one, stem).problems))
-    spec._origins.update({".".join(path): _origin(found.tree, path) for path, _ in leaves(spec.dump())})
+        base = Node({key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}, tree.at)
+        refuse(space_problems(tree[SWEEP]["space"], spec.sweep, lambda trial: _resolve(base, trial, stem)[2]))
+    spec._origins.update({".".join(path): _origin(tree, path) for path, _ in leaves(spec.dump())})
     return spec
 
 
@@ -119,10 +111,10 @@ def _at_causes(problems: list[Problem], written: Node, changes: Sequence[Node], 
         if all(problem.where in own for problem in problems):
             break
         try:
-            without = _resolve(written, [*changes[:place], *changes[place + 1 :]], stem)
+            _, _, without = _resolve(written, [*changes[:place], *changes[place + 1 :]], stem)
         except PluginError:  # of a plugin that the change replaces
             continue
-        remaining = {problem.setting for problem in without.problems}
+        remaining = {problem.setting for problem in without}
         for number, problem in enumerate(problems):
             if problem.where not in own and problem.setting not in remaining:
                 problems[number] = replace(problem, where=change.at)
@@ -187,18 +179,16 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
 
 def spec_without(spec: Spec, setting: str) -> Spec:
     """The spec without a setting, a block or a part that was given: what is left has its default."""
-    tree = _removed(from_plain(spec.given(), Mark("dict")), segments(setting))
-    found = _spec(tree)
+    *above, last = segments(setting)
+    block = given = spec.given()
+    for key in above:
+        below = block.get(key)
+        block = below if isinstance(below, dict) else {}
+    block.pop(last, None)
+    found = _spec(from_plain(given, Mark("dict")))
     found._text = spec.text
     found._origins = {path: spec.origins.get(path, str(DEFAULT)) for path in found.origins}
     return found
-
-
-def _removed(tree: Node, path: Sequence[str]) -> Node:
-    entries = dict(tree.mapping or {})
-    if below := entries.pop(path[0], None) if len(path) == 1 else entries.get(path[0]):
-        entries |= {path[0]: _removed(below, path[1:])} if len(path) > 1 else {}
-    return Node(entries, tree.at, tree.key)
 
 
 def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Node:

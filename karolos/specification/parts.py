@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from ..errors import recorded
 from ..registry import load
+from .tree import Path, leaves
 
 _SIZE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
 _SECRET = PydanticCustomError(
@@ -44,9 +45,9 @@ class Part:
             UsageError, PluginError: as `registry.load`.
         """
         settings = validate_strictly(load(kind, name).Settings, given)
-        values = list(_values(settings.model_dump()))
+        values = list(leaves(settings.model_dump(), lists=True))
         wrong = {path: _SIZE for path, value in values if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63}
-        wrong |= {path: _SECRET for path, value in (*values, *_values(given)) if _looks_secret(path, value)}
+        wrong |= {path: _SECRET for path, value in (*values, *leaves(given, lists=True)) if _looks_secret(path, value)}
         if errors := [InitErrorDetails(type=error, loc=path, input=0) for path, error in wrong.items()]:
             raise ValidationError.from_exception_data("Part", errors)
         return cls(kind, name, settings)
@@ -96,16 +97,7 @@ class OfKind:
         return {"kind": self.kind}
 
 
-def _values(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], object]]:
-    """Path and value of all that is neither a mapping nor a list."""
-    if not isinstance(value, dict | list | tuple):
-        yield path, value
-        return
-    for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
-        yield from _values(entry, (*path, key))
-
-
-def _looks_secret(path: tuple[str | int, ...], value: object) -> bool:
+def _looks_secret(path: Path, value: object) -> bool:
     """Whether a text looks like a secret, by its key or by itself; the name of a variable does not."""
     key = next((step for step in reversed(path) if isinstance(step, str)), "")
     plain = isinstance(value, str) and not re.fullmatch(r"\$\{?\w+\}?|", value)

@@ -136,6 +136,11 @@ def refuse(problems: Iterable[Problem]) -> None:
         raise SpecError(ordered)
 
 
+def refusal(where: Mark, what: str, hint: str | None = None, *, setting: str = "") -> SpecError:
+    """An error with one problem."""
+    return SpecError([Problem(where, setting, what, hint)])
+
+
 def shown(text: str) -> str:
     """Text from a spec for messages: escaped if not printable, and shortened."""
     safe = text if text.isprintable() else ascii(text)[1:-1]
@@ -196,11 +201,13 @@ def _from_plain(value: object, mark: Mark, path: Path, problems: list[Problem]) 
     return Node(plain, mark, mark)
 
 
-def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[str, ...], object]]:
-    """All values in nested dicts that are not non-empty dicts, with their paths."""
+def leaves(value: object, path: Path = (), *, lists: bool = False) -> Iterator[tuple[tuple[Any, ...], object]]:
+    """All values in nested dicts that are not non-empty dicts, with their paths; `lists`: in nested lists as well."""
+    if lists and isinstance(value, list | tuple):
+        value = dict(enumerate(value))
     if isinstance(value, dict) and (value or not path):
         for key, entry in value.items():
-            yield from leaves(entry, (*path, key))
+            yield from leaves(entry, (*path, key), lists=lists)
     else:
         yield path, value
 
