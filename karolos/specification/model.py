@@ -44,36 +44,45 @@ class TrainingSettings(Settings):
     """Amounts of collecting and learning, and where the agent runs."""
 
     steps: int = Setting(
-        100_000, ge=1, le=10**12, description="environment steps of training, all environments together"
+        default=100_000, ge=1, le=10**12, description="environment steps of training, all environments together"
     )
-    batch_size: int = Setting(256, ge=1, le=10**7, description="transitions per gradient update")
+    batch_size: int = Setting(default=256, ge=1, le=10**7, description="transitions per gradient update")
     replay_ratio: float = Setting(
-        64.0, ge=0, le=10**6, description="transitions learned from per environment step: gradient updates x batch size"
+        default=64.0,
+        ge=0,
+        le=10**6,
+        description="transitions learned from per environment step: gradient updates x batch size",
     )
-    warmup_episodes: int = Setting(20, ge=0, le=10**9, description="episodes of random actions before learning begins")
+    warmup_episodes: int = Setting(
+        default=20, ge=0, le=10**9, description="episodes of random actions before learning begins"
+    )
     device: Literal["auto", "cpu", "cuda"] = Setting(
-        "cpu", description="where the agent learns; auto takes the GPU if there is one. Does not count as a change"
+        default="cpu",
+        description="where the agent learns; auto takes the GPU if there is one. Does not count as a change",
     )
     threads: int | None = Setting(
-        None,
+        default=None,
         ge=1,
         le=MAX_THREADS,
         description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
     )
     diverging: float = Setting(
-        0.5,
+        default=0.5,
         ge=0,
         le=1,
         description="share of the training episodes that may diverge; more between two tests fails the run. Does not "
         "count as a change",
     )
     mode: Literal["lockstep", "async"] = Setting(
-        "lockstep",
+        default="lockstep",
         description="lockstep: every round waits for all environments, and a run is the same bit for bit; async: goes "
         "on with whatever is ready, and a run depends on timing",
     )
     minimum_batch: int | None = Setting(
-        None, ge=1, le=10**6, description="async: environments that have to be ready before training goes on; null: 1"
+        default=None,
+        ge=1,
+        le=10**6,
+        description="async: environments that have to be ready before training goes on; null: 1",
     )
 
     @model_validator(mode="after")
@@ -96,16 +105,22 @@ class TrainingSettings(Settings):
 class DemonstrationSettings(Settings):
     """Episodes of the task's scripted expert, collected before training. They do not count as training steps."""
 
-    episodes: int = Setting(100, ge=1, le=10**6, description="episodes to collect")
+    episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes to collect")
     noise: float = Setting(
-        0.1, ge=0, le=10, description="standard deviation of the Gaussian noise on the expert's actions"
+        default=0.1, ge=0, le=10, description="standard deviation of the Gaussian noise on the expert's actions"
     )
-    random: float = Setting(0.05, ge=0, le=1, description="probability of a uniformly random action instead")
+    random: float = Setting(default=0.05, ge=0, le=1, description="probability of a uniformly random action instead")
     share: float | None = Setting(
-        None, gt=0, lt=1, description="fraction of each batch from demonstrations; null: sampled like other transitions"
+        default=None,
+        gt=0,
+        lt=1,
+        description="fraction of each batch from demonstrations; null: sampled like other transitions",
     )
     updates: int = Setting(
-        0, ge=0, le=10**9, description="gradient updates on the demonstrations before the first environment step"
+        default=0,
+        ge=0,
+        le=10**9,
+        description="gradient updates on the demonstrations before the first environment step",
     )
 
 
@@ -116,11 +131,13 @@ FINAL_SEED_OFFSET = 1_000_000
 class TestingSettings(Settings):
     """Tests of the agent without exploration."""
 
-    interval: int = Setting(5_000, ge=1, le=10**12, description="environment steps of training between two tests")
-    episodes: int = Setting(100, ge=1, le=10**6, description="episodes per test")
-    seed: Seed = Setting(0, description="root of the test episodes' seeds; the same episodes for every run")
+    interval: int = Setting(
+        default=5_000, ge=1, le=10**12, description="environment steps of training between two tests"
+    )
+    episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes per test")
+    seed: Seed = Setting(default=0, description="root of the test episodes' seeds; the same episodes for every run")
     final_episodes: int | None = Setting(
-        None,
+        default=None,
         ge=0,
         le=10**6,
         description="episodes of the final test of `last` and of `best`, which are not those of the tests; null: as "
