@@ -193,6 +193,8 @@ def test_what_an_override_contradicts_is_reported_at_the_override(path, override
 def test_what_was_wrong_without_the_override_stays_where_it_is(tmp_path):
     path = write(tmp_path, "s.yaml", "task: reach\nagent: learner\nbuffer: rollout\n")
     assert [line.split(": ")[0] for line in problems_of(path, "seeds=[1]")] == ["s.yaml:1:1", "s.yaml:3:1"]
+    path = write(tmp_path, "t.yaml", "robot: arm\ntask: reach\n")
+    assert problems_of(path, "seeds=[1]")[0].startswith("t.yaml:1:1: agent: is missing")
 
 
 def test_of_a_broken_plugin_that_an_override_replaces_nothing_is_said(path, fake_plugins):
