@@ -112,7 +112,7 @@ def _modules(folder: RunFolder) -> list[str]:
     """The modules that the run's spec makes karolos import: of plugins that are not karolos's, and of gymnasium ids."""
     from karolos.records.run_records import part_name
     from karolos.registry import entries
-    from karolos.specification.merge import PARTS
+    from karolos.specification.tree import PARTS
 
     spec = folder.spec()
     named = [(entry, part_name(spec, key)) for key, kind in PARTS.items() for entry in entries(kind)]

@@ -65,7 +65,7 @@ def show(
     """
     from karolos.report.tables import setting
     from karolos.specification import load_spec, to_yaml
-    from karolos.specification.nodes import leaves
+    from karolos.specification.tree import leaves
 
     found = load_spec(spec, overrides or ())
     if not (origin or json):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 import runpy
+from itertools import groupby
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -39,12 +40,17 @@ def ways() -> dict[str, list[tuple[str, str]]]:
 
 
 def test_the_described_ways_are_short_and_every_stop_exists() -> None:
-    headings = "one transition", "one SAC update", "one test result", "one job on Ray"
+    headings = "one transition", "one SAC update", "one test result", "a spec's line to its object", "one job on Ray"
     assert set(ways()) == {f"The way of {heading}" for heading in headings}
     for heading, stops in ways().items():
         assert 3 <= len({file for file, _ in stops}) <= 8, heading
         for file, name in stops:
             assert name in _definitions(ROOT / file), f"{heading}: {file} has no {name}"
+
+
+def test_the_way_of_a_specs_line_takes_five_files_and_never_returns_to_one() -> None:
+    files = [file for file, _ in groupby(file for file, _ in ways()["The way of a spec's line to its object"])]
+    assert len(files) == len(set(files)) == 5
 
 
 def _definitions(path: Path) -> set[str]:

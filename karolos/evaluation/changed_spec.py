@@ -14,7 +14,7 @@ from ..records import RunFolder
 from ..registry import closest
 from ..simulation.engines import installed
 from ..specification import Spec, spec_from_dict
-from ..specification.merge import RANDOMIZATION
+from ..specification.tree import RANDOMIZATION
 from ..training.assembly import located
 from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable, signature_of
 

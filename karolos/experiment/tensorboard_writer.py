@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import MachineError
 from ..files import writing
 from ..records.results import FinalTest, TestResult, measure_means
-from ..specification.nodes import leaves
+from ..specification.tree import leaves
 from ..training.episodes import Episode
 from ..training.training import Training
 from .resume import Snapshot

@@ -1,12 +1,11 @@
 """Specs: from YAML or a dictionary to a validated, frozen and hashed description of an experiment."""
 
+from .files import parse_settings, to_yaml
 from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant, spec_without
-from .merge import parse_settings
 from .model import Spec, TestingSettings, TrainingSettings
 from .parts import Part, Recipe
 from .sweep import Sweep
 from .transfer import Transfer
-from .yaml_text import to_yaml
 
 __all__ = [
     "Part",

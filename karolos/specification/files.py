@@ -1,22 +1,61 @@
-"""Reads spec files and merges them with the files that they extend."""
+"""Reads YAML, spec files with the files that they extend, and overrides into trees. This module alone imports PyYAML.
+
+PyYAML composes its nodes; their scalars get values by the YAML 1.2 core schema (https://yaml.org/spec/1.2.2, 10.3.2).
+"""
 
 from __future__ import annotations
 
 import os
+import re
 import stat
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NoReturn
 
-from ..errors import Problem, UsageError
+import yaml
+
+from ..errors import Problem, SpecError, UsageError
 from ..files import SPECS
 from ..registry import closest
-from .merge import merged, normalised
-from .nodes import Mark, Node, refuse, shown, variable_problems
-from .yaml_text import MAX_CHARACTERS, BrokenTextError, read
+from .tree import (
+    MAX_DEPTH,
+    Mark,
+    Node,
+    Scalar,
+    from_plain,
+    merged,
+    nested,
+    normalised,
+    refusal,
+    refuse,
+    segments,
+    shown,
+    variable_problems,
+)
 
 SHIPPED = "karolos:"
 """Beginning of the names of the specs that ship with karolos, e.g. karolos:bases/sac_grasp.yaml."""
 SPEC_SUFFIXES = (".yaml", ".yml")
+MAX_CHARACTERS = 256 * 1024
+"""Largest length of a file. PyYAML reads about 100 kB/s."""
+MAX_NODES = 20_000
+"""Largest number of values in a file after alias expansion."""
+
+_CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Scalar]], ...] = (
+    (re.compile(r"null|Null|NULL|~|"), lambda _: None),
+    (re.compile(r"true|True|TRUE|false|False|FALSE"), lambda text: text.lower() == "true"),
+    (re.compile(r"[-+]?[0-9]+"), int),
+    (re.compile(r"0o[0-7]+|0x[0-9a-fA-F]+"), lambda text: int(text, 0)),
+    (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
+    (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
+)
+_PLAIN, _GIVEN = "plain", "given"
+"""Tags of nodes without a tag in the text: scalars without quotes, and all others."""
+_AT_HINT = "name a run by its whole id or its folder, not by @last; put other text with @ in quotes"
+_HINTS = {"'\\t'": "indent with spaces", "another document": "a spec is one document; remove `---`", "'@'": _AT_HINT}
+"""Words of PyYAML's errors -> what to do."""
 
 
 def shipped_specs() -> dict[str, Path]:
@@ -88,12 +127,11 @@ class SpecFiles:
         """
         path, name = find_spec(self.root)
         if wrong := unreadable(path):
-            refuse([Problem(Mark(name), "", *wrong)])
+            raise refusal(Mark(name), *wrong)
         try:
             return self._load(path, name, ())
-        except BrokenTextError as broken:
-            refuse([*self.problems, *self.broken, broken.problem])
-            raise
+        except SpecError as error:
+            raise SpecError([*self.problems, *self.broken, *error.problems]) from None
 
     def _load(self, path: Path, name: str, above: tuple[str, ...]) -> Node:
         file = os.path.realpath(path)
@@ -106,53 +144,35 @@ class SpecFiles:
         node, problems = read(text, name, rank)
         self.problems.extend(problems)
         if node is None:
-            raise BrokenTextError(Problem(start, "", "the file is empty", "give at least robot, task and agent"))
+            raise refusal(start, "the file is empty", "give at least robot, task and agent")
         if node.mapping is None:
-            raise BrokenTextError(
-                Problem(node.at, "", "a spec is a mapping of keys to values", "begin with `robot: NAME`")
-            )
+            raise refusal(node.at, "a spec is a mapping of keys to values", "begin with `robot: NAME`")
         entries = dict(node.mapping)
         extends = entries.pop("extends", None)
         tree = normalised(Node(entries, start))
-        for target in reversed(self._targets(extends)):
-            base = self._base(target, Path(file), name, (*above, file))
-            tree = merged(base, tree) if base else tree
+        if extends is not None and extends.value is not None:
+            for target in reversed([extends] if extends.items is None else extends.items):
+                try:
+                    tree = merged(self._base(target, Path(file), name, (*above, file)), tree)
+                except SpecError as error:
+                    self.broken += error.problems
         self._done[file] = tree
         return tree
 
-    def _targets(self, extends: Node | None) -> list[Node]:
-        if extends is None or extends.value is None:
-            return []
-        targets = extends.items if extends.items is not None else [extends]
-        for target in targets:
-            if not isinstance(target.value, str) or not target.value:
-                what = "should be a path, or a list of paths, relative to this file"
-                self.broken.append(Problem(target.at, "extends", what))
-        return [target for target in targets if isinstance(target.value, str) and target.value]
-
-    def _base(self, target: Node, path: Path, name: str, above: tuple[str, ...]) -> Node | None:
-        """The tree of a file that `path` extends; None after recording a problem."""
+    def _base(self, target: Node, path: Path, name: str, above: tuple[str, ...]) -> Node:
+        """The tree of a file that `path` extends. Raises SpecError."""
         given = target.value
-        if given.startswith(SHIPPED):
-            base, name = find_spec(given)
-        else:
-            base, name = path.parent / given, beside(name, given)
-        if found := list(variable_problems(target, ("extends",))):
-            self.broken += found
-            return None
+        if not isinstance(given, str) or not given:
+            raise refusal(target.at, "should be a path, or a list of paths, relative to this file", setting="extends")
+        refuse(variable_problems(target, ("extends",)))
+        shipped = given.startswith(SHIPPED)
+        base, name = find_spec(given) if shipped else (path.parent / given, beside(name, given))
         if wrong := unreadable(base):
-            self.broken.append(Problem(target.at, "extends", f"{shown(given)}: {wrong[0]}", wrong[1]))
-            return None
-        file = os.path.realpath(base)
-        if file in above:
+            raise refusal(target.at, f"{shown(given)}: {wrong[0]}", wrong[1], setting="extends")
+        if (file := os.path.realpath(base)) in above:
             chain = " -> ".join(shown(os.path.basename(one)) for one in (*above[above.index(file) :], file))
-            self.broken.append(Problem(target.at, "extends", f"is a circle: {chain}", "remove one of them"))
-            return None
-        try:
-            return self._load(base, name, above)
-        except BrokenTextError as broken:
-            self.broken.append(broken.problem)
-            return None
+            raise refusal(target.at, f"is a circle: {chain}", "remove one of them", setting="extends")
+        return self._load(base, name, above)
 
 
 def beside(name: str, given: str) -> str:
@@ -196,10 +216,194 @@ def _text(path: Path, mark: Mark) -> str:
         with path.open("rb") as file:
             data = file.read(4 * MAX_CHARACTERS + 1)
         if len(data) > 4 * MAX_CHARACTERS:
-            raise BrokenTextError(Problem(mark, "", f"longer than {MAX_CHARACTERS // 1024} kB"))
+            raise refusal(mark, f"longer than {MAX_CHARACTERS // 1024} kB")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = Mark(mark.source, data[: error.start].count(b"\n") + 1, rank=mark.rank)
-        raise BrokenTextError(Problem(at, "", "is not UTF-8 text", "save the file in UTF-8")) from None
+        raise refusal(at, "is not UTF-8 text", "save the file in UTF-8") from None
     except OSError as error:
-        raise BrokenTextError(Problem(mark, "", f"cannot be read: {error.strerror or error}")) from None
+        raise refusal(mark, f"cannot be read: {error.strerror or error}") from None
+
+
+def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem]) -> list[Node]:
+    """Each `path.to.key=value` as a tree to merge into the spec. Appends invalid overrides to `problems`."""
+    trees = []
+    for place, text in enumerate(overrides):
+        mark = Mark(f"override {shown(text)}", rank=rank + place)
+        try:
+            trees.append(_override(text, mark))
+        except SpecError as error:
+            problems += error.problems
+    return trees
+
+
+def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
+    """Overrides `path.to.key=value` as one dictionary. Raises SpecError."""
+    problems: list[Problem] = []
+    tree = Node({}, Mark("settings"))
+    for override in override_trees(overrides, 0, problems):
+        tree = merged(tree, override)
+    refuse(problems)
+    settings: dict[str, Any] = tree.plain()
+    return settings
+
+
+def _override(text: str, mark: Mark) -> Node:
+    key, equals, value = text.partition("=")
+    if not equals:
+        raise refusal(mark, "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4")
+    if not all(path := segments(key.strip())):
+        raise refusal(mark, f"{shown(key)!r} is not a path of keys", "write path.to.key=value")
+    if path[0] == "extends":
+        raise refusal(mark, "cannot be overridden", "put it into the spec file", setting="extends")
+    try:
+        node, problems = read(value, mark.source, mark.rank)
+        refuse(problems)
+    except SpecError as error:
+        raise SpecError([_in_value(problem, key) for problem in error.problems]) from None
+    if node is None and value.strip():
+        raise refusal(mark, "the value is a comment", "put it in quotes: key='\"#...\"'", setting=key)
+    return nested(key.strip(), from_plain(node and node.plain(), mark))
+
+
+def _in_value(problem: Problem, key: str) -> Problem:
+    """The problem with its column counted in the whole override instead of the value."""
+    mark = problem.where
+    column = f"column {len(key) + 1 + mark.column}: " if mark.line == 1 else ""
+    return Problem(Mark(mark.source, rank=mark.rank), "", f"{column}{problem.what}", problem.hint)
+
+
+def scalar(text: str) -> Scalar:
+    """The value of a plain (unquoted) scalar in the YAML 1.2 core schema. Raises ValueError for too many digits."""
+    for pattern, convert in _CORE_SCHEMA:
+        if pattern.fullmatch(text):
+            return convert(text)
+    return text
+
+
+def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Problem]]:
+    """The document in `text`, and the problems after which reading can continue.
+
+    Args:
+        text: one YAML document.
+        source: name of the file or override, for positions.
+        rank: index of this source, for sorting problems.
+
+    Returns:
+        The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
+
+    Raises:
+        SpecError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
+    """
+    reader = _Reader(source, rank)
+    if len(text) > MAX_CHARACTERS:
+        reader.fail(None, f"longer than {MAX_CHARACTERS // 1024} kB")
+    try:
+        root = _Loader(text, reader).get_single_node()
+        return None if root is None else reader.node(root, 0), reader.problems
+    except yaml.MarkedYAMLError as error:
+        what = " ".join((error.problem or error.context or "cannot be read").split()).removeprefix("but ")
+        hint = next((hint for words, hint in _HINTS.items() if words in what), None)
+        reader.fail(error.problem_mark or error.context_mark, f"not valid YAML: {what}", hint)
+    except yaml.reader.ReaderError as error:
+        before = text[: error.position]
+        mark = SimpleNamespace(line=before.count("\n"), column=len(before) - before.rfind("\n") - 1)
+        reader.fail(mark, f"not valid YAML: {error.reason}")
+
+
+@dataclass
+class _Reader:
+    """Converts PyYAML's nodes and marks."""
+
+    source: str
+    rank: int
+    problems: list[Problem] = field(default_factory=list)
+    _count: int = 0
+
+    def fail(self, mark: Any, what: str, hint: str | None = None) -> NoReturn:
+        raise refusal(self._place(mark), what, hint)
+
+    def node(self, found: Any, depth: int) -> Node:
+        self._count += 1
+        if self._count > MAX_NODES:
+            what = f"more than {MAX_NODES} values, aliases expanded"
+            self.fail(found.start_mark, what, "write a spec without them")
+        self.check_depth(found.start_mark, depth)
+        if found.tag not in (_PLAIN, _GIVEN):
+            self._report(found, f"the tag {shown(found.tag)} is not allowed", "write the plain value")
+        value: Any
+        if isinstance(found, yaml.MappingNode):
+            value = self._mapping(found, depth + 1)
+        elif isinstance(found, yaml.SequenceNode):
+            value = [self.node(entry, depth + 1) for entry in found.value]
+        else:
+            value = self._scalar(found) if found.tag == _PLAIN else found.value
+        return Node(value, self._place(found.start_mark))
+
+    def check_depth(self, mark: Any, depth: int) -> None:
+        if depth > MAX_DEPTH:
+            self.fail(mark, f"nested deeper than {MAX_DEPTH} levels")
+
+    def _scalar(self, found: Any) -> Scalar:
+        try:
+            return scalar(found.value)
+        except ValueError:
+            self._report(found, "a number of too many digits")
+            return 0
+
+    def _mapping(self, found: Any, depth: int) -> dict[str, Node]:
+        entries: dict[str, Node] = {}
+        for written, entry in found.value:
+            key, value = self.node(written, depth), self.node(entry, depth)
+            if not isinstance(key.value, str):
+                what = f"the key {shown(repr(key.plain()))} is not a string"
+                self._report(written, what, "put it in quotes if it is meant as a name")
+            elif key.value in entries:
+                first = entries[key.value].place
+                self._report(written, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")
+            else:
+                entries[key.value] = value.with_key(self._place(written.start_mark))
+        return entries
+
+    def _place(self, mark: Any) -> Mark:
+        line, column = (0, 0) if mark is None else (mark.line + 1, mark.column + 1)
+        return Mark(self.source, line, column, self.rank)
+
+    def _report(self, found: Any, what: str, hint: str | None = None) -> None:
+        self.problems.append(Problem(self._place(found.start_mark), "", what, hint))
+
+
+class _Loader(yaml.SafeLoader):
+    """Composes nodes, whose tags say whether the text has one, and refuses depth before Python's recursion ends."""
+
+    def __init__(self, text: str, reader: _Reader) -> None:
+        super().__init__(text)
+        self._reader, self._depth = reader, 0
+
+    def resolve(self, kind: Any, value: Any, implicit: Any) -> str:  # noqa: ARG002 (the overridden signature)
+        return _PLAIN if kind is yaml.ScalarNode and implicit[0] else _GIVEN
+
+    def descend_resolver(self, *_: Any) -> None:
+        mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]
+        self._reader.check_depth(mark, self._depth)
+        self._depth += 1
+
+    def ascend_resolver(self) -> None:
+        self._depth -= 1
+
+
+class _Dumper(yaml.SafeDumper):
+    """Quotes every string that YAML 1.1 or 1.2 would read as another type."""
+
+    def ignore_aliases(self, data: Any) -> bool:  # noqa: ARG002  (the overridden signature)
+        return True
+
+
+_NUMBER_LIKE = re.compile(rf"(?:{'|'.join(pattern.pattern for pattern, _ in _CORE_SCHEMA[2:5])})$")
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER_LIKE, list("-+.0123456789"))
+
+
+def to_yaml(spec: dict[str, Any]) -> str:
+    """A resolved spec as YAML that loads as the same spec."""
+    text: str = yaml.dump(spec, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)
+    return text

@@ -15,10 +15,10 @@ from pydantic import Field as Setting
 from ..core import Settings
 from ..files import fingerprint
 from ..system import RESERVED_NAMES
-from .merge import PARTS
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep
 from .transfer import Transfer
+from .tree import PARTS
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 """Names are used as folder names: at most 64 letters, digits, dots, underscores and hyphens."""

@@ -4,15 +4,23 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
 from pydantic import BaseModel, GetCoreSchemaHandler, SecretStr, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
-from ..errors import UsageError, recorded
-from ..registry import load, singular
+from ..errors import recorded
+from ..registry import load
+from .tree import Path, leaves
+
+_SIZE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
+_SECRET = PydanticCustomError(
+    "secret",
+    "looks like a secret, and records show settings",
+    {"hint": "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"},
+)
 
 
 @dataclass(frozen=True)
@@ -27,6 +35,22 @@ class Part:
     name: str
     settings: Any
     """An instance of the plugin's `Settings`."""
+
+    @classmethod
+    def of(cls, kind: str, name: str, given: Mapping[str, Any]) -> Part:
+        """The part with these settings.
+
+        Raises:
+            ValidationError: a setting is invalid, too large an integer for numpy, torch and databases, or a secret.
+            UsageError, PluginError: as `registry.load`.
+        """
+        settings = validate_strictly(load(kind, name).Settings, given)
+        values = list(leaves(settings.model_dump(), lists=True))
+        wrong = {path: _SIZE for path, value in values if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63}
+        wrong |= {path: _SECRET for path, value in (*values, *leaves(given, lists=True)) if _looks_secret(path, value)}
+        if errors := [InitErrorDetails(type=error, loc=path, input=0) for path, error in wrong.items()]:
+            raise ValidationError.from_exception_data("Part", errors)
+        return cls(kind, name, settings)
 
     def dump(self, *, changed: bool = False, given: bool = False) -> dict[str, Any]:
         """Name and all settings as in a spec, or only those that are no defaults, or that were given; JSON-able."""
@@ -52,10 +76,10 @@ class Recipe:
 
 @dataclass(frozen=True)
 class OfKind:
-    """Marks a field that holds a part of this kind, which the plugin of its `name` validates.
+    """Marks a field that holds a part of this kind.
 
-    A pydantic union over plugins would import all of them and reject plugins of other packages. Errors have paths in
-    the spec, e.g. agent.learning_rate.
+    A pydantic union over plugins would import all of them and reject plugins of other packages. `validate` therefore
+    lets the plugins validate the parts, and gives them to pydantic as its context, by their paths in the spec.
     """
 
     kind: str
@@ -64,71 +88,28 @@ class OfKind:
         dump = core_schema.plain_serializer_function_ser_schema(
             lambda part, info: part.dump(changed=info.exclude_defaults, given=info.exclude_unset), info_arg=True
         )
-        return core_schema.no_info_plain_validator_function(self.validate, serialization=dump)
+        return core_schema.with_info_plain_validator_function(
+            lambda path, info: (info.context or {}).get(path), serialization=dump
+        )
 
     def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, str]:
         """A mark, which `karolos.specification.schema` replaces."""
         return {"kind": self.kind}
 
-    def validate(self, value: object) -> Part:
-        """Convert a mapping with `name` and settings. Raises ValidationError at paths below this field."""
-        if isinstance(value, Part):
-            return value
-        noun = singular(self.kind)
-        what = f"{'an' if noun[0] in 'aeiou' else 'a'} {noun}"
-        if not isinstance(value, dict):
-            number = "a number, " if self.kind == "distributions" else ""
-            raise PydanticCustomError("part_type", f"should be {number}the name of {what}, or a mapping with `name`")
-        if "name" not in value:
-            raise _at_name("missing_name", f"should name {what}", value)
-        name = value["name"]
-        if not isinstance(name, str):
-            raise _at_name("name_type", f"should be the name of {what}", name)
-        try:
-            plugin = load(self.kind, name)
-        except UsageError as error:
-            raise _at_name("unknown_name", error.what, name, error.hint) from None
-        settings = validate_strictly(plugin.Settings, {key: entry for key, entry in value.items() if key != "name"})
-        leaves = list(_leaves(settings.model_dump()))
-        # numpy, torch and databases cannot hold larger integers
-        size = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
-        hint = "leave it out and let the plugin read an environment variable, or give that one's name: $NAME"
-        text = {"message": "looks like a secret, and records show settings", "hint": hint}
-        secret = PydanticCustomError("secret", "{message}", text)
-        wrong = {path: size for path, leaf in leaves if isinstance(leaf, int) and not -(1 << 63) <= leaf < 1 << 63}
-        wrong |= {path: secret for path, leaf in (*leaves, *_leaves(value)) if _looks_secret(path, leaf)}
-        if errors := [InitErrorDetails(type=kind, loc=path, input=0) for path, kind in wrong.items()]:
-            raise ValidationError.from_exception_data("Part", errors)
-        return Part(self.kind, name, settings)
 
-
-def _leaves(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], object]]:
-    """Path and value of all that is neither a mapping nor a list."""
-    if not isinstance(value, dict | list | tuple):
-        yield path, value
-        return
-    for key, entry in value.items() if isinstance(value, dict) else enumerate(value):
-        yield from _leaves(entry, (*path, key))
-
-
-def _looks_secret(path: tuple[str | int, ...], leaf: object) -> bool:
+def _looks_secret(path: Path, value: object) -> bool:
     """Whether a text looks like a secret, by its key or by itself; the name of a variable does not."""
     key = next((step for step in reversed(path) if isinstance(step, str)), "")
-    plain = isinstance(leaf, str) and not re.fullmatch(r"\$\{?\w+\}?|", leaf)
-    return isinstance(leaf, SecretStr) or (plain and recorded(leaf, key) != leaf)
+    plain = isinstance(value, str) and not re.fullmatch(r"\$\{?\w+\}?|", value)
+    return isinstance(value, SecretStr) or (plain and recorded(value, key) != value)
 
 
-def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:
-    error = PydanticCustomError(kind, "{message}", {"message": message, "hint": hint})
-    return ValidationError.from_exception_data("Part", [InitErrorDetails(type=error, loc=("name",), input=value)])
-
-
-def validate_strictly(model: type[BaseModel], value: object) -> Any:
+def validate_strictly(model: type[BaseModel], value: object, context: object = None) -> Any:
     """Convert plain data to a model without coercion: "5" is not a number, true is not 1; 1e6 is an integer.
 
     JSON mode lets strict models accept lists for tuples and strings for enumerations.
     """
-    return model.model_validate_json(json.dumps(_integers(value)), strict=True)
+    return model.model_validate_json(json.dumps(_integers(value)), strict=True, context=context)
 
 
 def _integers(value: object) -> object:

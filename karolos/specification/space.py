@@ -5,16 +5,14 @@ Both ends of each range and every value of each choice are validated. Problems a
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Set
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from itertools import islice
 from typing import Any
 
 from ..errors import Problem
 from ..registry import alternatives
-from .merge import RANDOMIZATION, SWEEP, merged, nested, segments, with_shared_settings
-from .nodes import Node
-from .problems import validate
 from .sweep import Sweep
+from .tree import RANDOMIZATION, Node, nested, segments
 
 SEARCHABLE = ("robot", "task", "environment", "agent", "buffer", RANDOMIZATION, "demonstrations", "training")
 """Keys of a spec below which settings can be searched."""
@@ -37,29 +35,42 @@ def application_order(keys: Iterable[str]) -> list[str]:
     return sorted(keys, key=lambda key: (len(segments(key)), segments(key)[-1] != "name"))
 
 
-def space_problems(tree: Node, sweep: Sweep, complete: Callable[[Node], Node]) -> list[Problem]:
+def space_problems(space: Node, sweep: Sweep, problems_of: Callable[[Sequence[Node]], list[Problem]]) -> list[Problem]:
     """The problems of a sweep's search space.
 
     Args:
-        tree: the spec, valid except for its sweep.
-        sweep: of the tree.
-        complete: adds default parts, after names have changed.
+        space: of the sweep, as it is written.
+        problems_of: the problems of the spec without its sweep, with changes on top.
     """
-    space = tree[SWEEP]["space"]
-    problems = [*_wrong_keys(space), *_wrong_conditions(space, sweep)]
-    if problems:
+    if problems := [*_wrong_keys(space), *_wrong_conditions(space, sweep)]:
         return problems
-    entries = {key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}
-    base = Node(entries, tree.at, tree.key)
-    wrong_values: dict[Problem, None] = {}
-    refused: set[tuple[str, Any]] = set()
+    values = {key: _values(space[key], sweep, key) for key in sweep.space}
+    wrong: dict[Problem, None] = {}
+    refused: set[tuple[str, Any]] = set()  # so that dependent parameters report no further problems
     for key in sorted(sweep.space, key=lambda one: len(_depends(sweep, one))):
-        for value, probe in _probes(base, space, sweep, key, refused):
-            wrong = [probe] if isinstance(probe, Problem) else validate(complete(probe))[1]
-            wrong_values.update(dict.fromkeys(_at_parameter(space[key], key, problem) for problem in wrong))
-            if wrong:
-                refused.add((key, value))  # so that dependent parameters report no further problems
-    return list(wrong_values)
+        for drawn in _combinations(sweep, key):
+            if refused & drawn.items():
+                continue
+            above = application_order(drawn)
+            changes = [nested(name, values[name][drawn[name]]) for name in above]
+            if off := _without_settings(above, changes, key):
+                what, hint = f"{off} has no such setting when it is {drawn[off]!r}", f"add when: {{{off}: ...}}"
+                wrong[Problem(space[key].place, f"sweep.space.{key}", what, hint)] = None
+                continue
+            for value, node in values[key].items():
+                if problems := problems_of([*changes, nested(key, node)]):
+                    wrong.update(dict.fromkeys(_at_parameter(space[key], key, problem) for problem in problems))
+                    refused.add((key, value))
+    return list(wrong)
+
+
+def _without_settings(above: Sequence[str], changes: Sequence[Node], key: str) -> str | None:
+    """The choice above a parameter whose value has no settings, e.g. null; None if all have."""
+    for name, change in zip(above, changes, strict=True):
+        node = change.get(*segments(name))
+        if key.startswith(f"{name}.") and node is not None and node.mapping is None:
+            return name
+    return None
 
 
 def _at_parameter(node: Node, key: str, problem: Problem) -> Problem:
@@ -105,36 +116,12 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Problem]:
             yield Problem(place, f"sweep.space.{key}.when", "is a circle of conditions", "remove one of them")
 
 
-def _probes(
-    base: Node, space: Node, sweep: Sweep, key: str, refused: Set[tuple[str, Any]]
-) -> Iterator[tuple[Any, Node | Problem]]:
-    """Values of a parameter (both ends, or all choices) with their specs, for all combinations it depends on.
-
-    Skips choices in `refused`. Yields a problem instead of a spec if the parameter cannot be merged.
-    """
-    depends = _depends(sweep, key)
-    part = Sweep.model_construct(space={name: sweep.space[name] for name in depends})
-    for drawn in islice(part.combinations(), MAX_COMBINATIONS):
-        if not sweep.is_active(key, drawn) or refused & drawn.items():
-            continue
-        tree = base
-        above = application_order(drawn)
-        for name in above:
-            tree = _with(tree, name, _values(space, sweep, name)[drawn[name]])
-        home = tree.get(*segments(key)[:-1])
-        if home is not None and home.mapping is None:
-            off = next((name for name in reversed(above) if key.startswith(f"{name}.")), None)
-            if off is not None:
-                what = f"{off} has no such setting when it is {drawn[off]!r}"
-                yield None, Problem(space[key].place, f"sweep.space.{key}", what, f"add when: {{{off}: ...}}")
-                continue
-        for value, node in _values(space, sweep, key).items():
-            yield value, _with(tree, key, node)
-
-
-def _with(tree: Node, key: str, value: Node) -> Node:
-    override = nested(key, value)
-    return merged(tree, with_shared_settings(tree, override))
+def _combinations(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
+    """The combinations of the choices that a parameter depends on, with which it is active."""
+    choices = Sweep.model_construct(space={name: sweep.space[name] for name in _depends(sweep, key)})
+    for drawn in islice(choices.combinations(), MAX_COMBINATIONS):
+        if sweep.is_active(key, drawn):
+            yield drawn
 
 
 def _depends(sweep: Sweep, key: str) -> list[str]:
@@ -154,9 +141,9 @@ def _depends(sweep: Sweep, key: str) -> list[str]:
     return list(choices)
 
 
-def _values(space: Node, sweep: Sweep, key: str) -> dict[Any, Node]:
+def _values(node: Node, sweep: Sweep, key: str) -> dict[Any, Node]:
     """The values to try, both ends of a range or the labels of all choices, and their nodes in the search space."""
-    parameter, node = sweep.space[key], space[key]
+    parameter = sweep.space[key]
     kind = next(kind for kind in ("float", "int", "choice") if getattr(parameter, kind) is not None)
     nodes = node[kind].items if node[kind].mapping is None else list(node[kind].value.values())
     values = parameter.bounds if parameter.choice is None else parameter.labels

@@ -15,13 +15,13 @@ from pydantic import ValidationError
 
 from ..core import Settings
 from ..errors import KarolosError, Problem, SpecError
+from .bind import Invalid
+from .explain import explain
 from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
 from .load import load_spec
-from .merge import nested
 from .model import Name, Spec
-from .nodes import Node, refuse, shown
 from .parts import validate_strictly
-from .problems import located_problems
+from .tree import Node, nested, refusal, refuse, shown
 
 
 class SuiteEntry(Settings):
@@ -94,12 +94,12 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     keys = (tree.mapping or {}).keys()
     if "specs" not in keys and keys & (Spec.model_fields.keys() - SuiteFile.model_fields.keys()):
         hint = f"`karolos run {shown(str(path))}` trains it"
-        refuse([Problem(tree.at, "", "the file is a spec, not a suite", hint)])
+        raise refusal(tree.at, "the file is a spec, not a suite", hint)
     refuse([*files.problems, *files.broken])
     try:
         found: SuiteFile = validate_strictly(SuiteFile, tree.plain())
     except ValidationError as error:
-        refuse(located_problems(error, tree, SuiteFile))
+        refuse(explain([Invalid((), SuiteFile, error)], tree, {}))
         raise
     specs, written, refused = dict[str, Spec](), dict[str, Spec](), dict[str, SpecError]()
     problems: dict[str, Problem] = {}
@@ -143,7 +143,7 @@ def _file_of(given: Node) -> str:
     near = given.value if given.value.startswith(SHIPPED) else beside(given.at.source, given.value)
     name = near if os.path.isfile(find_spec(near)[0]) else given.value
     if wrong := unreadable(find_spec(name)[0]):
-        refuse([Problem(given.at, "specs", f"{shown(given.value)}: {wrong[0]}", wrong[1])])
+        raise refusal(given.at, f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
     return str(name)
 
 

@@ -13,8 +13,8 @@ from ..environments.build import build_environment, opened
 from ..errors import KarolosError, UsageError, described
 from ..registry import blaming, load
 from ..specification import Part, Spec
-from ..specification.merge import PARTS
 from ..specification.sweep import MEASURES, directions
+from ..specification.tree import PARTS
 from .demonstrations import demonstrating_expert
 from .memory import check_memory, environments_of
 from .trial import try_environments

@@ -10,7 +10,7 @@ from support.fake_plugins import Point
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import PluginError, SpecError
-from karolos.specification import load_spec, spec_from_dict
+from karolos.specification import explain, load_spec, spec_from_dict
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
@@ -75,6 +75,13 @@ def test_union_mistake_is_told_once(tmp_path):
     path = write(tmp_path, "s.yaml", GOOD.replace("learner", "{name: learner, decay: {rate: 2}}"))
     (line,) = problems_of(path)
     assert line.startswith("s.yaml:3:38: agent.decay.rate: should be less than or equal to 1, not 2")
+
+
+@pytest.mark.parametrize("case", REFUSED["specs"])
+def test_no_mistake_is_told_in_words_of_pydantic(tmp_path, monkeypatch, case):
+    said = explain._text
+    monkeypatch.setattr(explain, "_text", lambda entry: said({**entry, "msg": "?"}))
+    test_each_mistake_is_one_line_at_its_place(tmp_path, case)
 
 
 def test_another_environment_takes_no_robot_task_or_randomization(tmp_path):

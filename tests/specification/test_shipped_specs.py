@@ -1,4 +1,4 @@
-"""The specs that ship, with the plugins that ship."""
+"""The specs and the plugins that ship, their schema, and a number where a distribution is expected."""
 
 from __future__ import annotations
 
@@ -6,11 +6,12 @@ from pathlib import Path
 
 import pytest
 from jsonschema import Draft202012Validator
+from support.spec_files import problems_of, write
 
+from karolos.errors import SpecError, UsageError
 from karolos.specification import load_spec, spec_from_dict
-from karolos.specification.files import shipped_text
+from karolos.specification.files import read, shipped_text
 from karolos.specification.schema import spec_schema
-from karolos.specification.yaml_text import read
 from karolos.training.assembly import check_parts
 
 SPECS = Path(__file__).parents[2] / "specs"
@@ -87,3 +88,126 @@ def test_override_of_a_name_keeps_the_settings_that_both_plugins_have_and_origin
     assert agent.settings.learning_rate == before.agent.settings.learning_rate
     assert agent.settings.tau == 0.1
     assert agent.settings.noise.std == 0.2  # td3's own: its noise has another type
+
+
+REACH = "robot: panda\ntask: reach\nagent: sac\n"
+
+
+def test_a_number_is_a_distribution_of_one_value(tmp_path: Path) -> None:
+    plain = load_spec(write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -5}\n"))
+    drawn = {"name": "choice", "values": [-5.0], "weights": None}
+    assert plain.dump()["randomization"] == {"task.gravity": drawn}
+    written = "randomization: {task.gravity: {name: choice, values: [-5]}}\n"
+    assert plain.hash() == load_spec(write(tmp_path, "t.yaml", REACH + written)).hash()
+    override = "randomization.task.gravity=-5"
+    assert plain.hash() == load_spec(write(tmp_path, "u.yaml", REACH), [override]).hash()
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        ("true", "s.yaml:4:31: randomization.task.gravity: should be a number, the name of a distribution, or a"),
+        ("[1, 2]", "s.yaml:4:31: randomization.task.gravity: should be a number, the name of a distribution, or a"),
+        (".inf", "s.yaml:4:31: randomization.task.gravity.values[0]: should be a finite number"),
+    ],
+)
+def test_other_values_are_refused(tmp_path: Path, value: str, expected: str) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH + f"randomization: {{task.gravity: {value}}}\n"))
+    assert line.startswith(expected)
+
+
+def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path: Path) -> None:
+    path = write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -50}\n")
+    with pytest.raises(UsageError, match=r"s\.yaml:4:\d+: randomization\.task\.gravity: .* allowed is -20 to 0 m/s2"):
+        check_parts(load_spec(path))
+
+
+@pytest.mark.parametrize(
+    ("override", "example"), [("task.gravity=-5", "task.gravity"), ("robot.link_mas=2", "robot.link_mass")]
+)
+def test_a_parameter_among_the_settings_is_told_where_it_goes_and_a_misspelt_one_is_not_repeated(
+    tmp_path: Path, override: str, example: str
+) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH), override)
+    part, name = ("task", "reach") if "task" in override else ("robot", "panda")
+    hint = f"is set as e.g. randomization: {{{example}: NUMBER}}; `karolos inspect {part} {name}` shows all"
+    assert "no such key" in line
+    assert line.endswith(hint)
+
+
+def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_that_has_both() -> None:
+    with pytest.raises(SpecError) as caught:
+        load_spec("panda_reach", ["training.steps=5", "agent=ppo"])
+    line = str(caught.value)
+    assert line.startswith("override agent=ppo: buffer: agent 'ppo' learns from its own latest actions only")
+    assert line.endswith("e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both")
+    assert load_spec("panda_reach_ppo").buffer.name == "on_policy"
+
+
+def test_a_number_of_seeds_means_the_first_ones(tmp_path: Path) -> None:
+    path = write(tmp_path, "s.yaml", REACH + "seeds: 3\n")
+    assert load_spec(path).seeds == (0, 1, 2)
+    assert load_spec(path, ["seeds=1"]) == load_spec(path, ["seeds=[0]"])
+
+
+def test_a_home_folder_in_a_path_is_refused(tmp_path: Path) -> None:
+    (line,) = problems_of(write(tmp_path, "s.yaml", REACH.replace("sac", "{name: sac, start_from: ~/x}")))
+    assert line.startswith("s.yaml:3:32: agent.start_from: ~/x: ~ and variables are not replaced")
+
+
+def valid(text: str) -> bool:
+    schema, _ = spec_schema()
+    node, _ = read(text, "s")
+    assert node is not None
+    return Draft202012Validator(schema).is_valid(node.plain())
+
+
+def test_schema_is_a_schema(fake_plugins):
+    schema, broken = spec_schema()
+    Draft202012Validator.check_schema(schema)
+    assert not broken
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "robot: arm\ntask: reach\nagent: learner",
+        "environment: point\nagent: {name: learner, discount: 0.5, decay: {rate: 0.1}}\nseeds: [0, 1]",
+        "extends: base.yaml\ntraining: {steps: 1e6}\nrobot: null",
+        "extends: [a.yaml, b.yaml]\nagent: {discount: 0.5}",
+        "robot: arm\ntask: reach\nagent: learner\nbuffer: {name: uniform, hindsight: {ratio: 0.5}}\n"
+        "randomization: {task.gravity: {name: normal, mean: 1, std: 1}, robot.gain: 2}",
+    ],
+)
+def test_good_specs_fit_the_schema(fake_plugins, text):
+    assert valid(text)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "robot: arm\ntask: reach",
+        "agent: learner",
+        "robot: arm\ntask: reach\nagent: lerner",
+        "robot: arm\ntask: reach\nagent: {name: lerner}",
+        "robot: arm\ntask: reach\nagent: {name: learner, discont: 1}",
+        "robot: arm\ntask: reach\nagent: {name: latest, discount: 0.5}",
+        "robot: {name: arm, control: jiont}\ntask: reach\nagent: learner",
+        "robot: arm\ntask: reach\nagent: learner\ntraining: {steps: 0}",
+        "robot: arm\ntask: reach\nagent: learner\nrandomization: {gravity: {name: normal, mean: 1, std: 1}}",
+        "robot: arm\ntask: reach\nagent: learner\nname: ../x",
+        "robot: arm\ntask: reach\nagent: learner\nsweep: {trails: 3}",
+    ],
+)
+def test_bad_specs_do_not(fake_plugins, text):
+    assert not valid(text)
+
+
+def test_plugin_that_does_not_import_is_left_out_and_told(fake_plugins):
+    fake_plugins("robots", "broken", "no_such_module_anywhere:Robot")
+    schema, broken = spec_schema()
+    Draft202012Validator.check_schema(schema)
+    assert "robots.arm" in schema["$defs"]
+    assert "robots.broken" not in schema["$defs"]
+    assert len(broken) == 1
+    assert "'broken'" in str(broken[0])

@@ -38,6 +38,7 @@ from karolos.errors import KarolosError, RunError
 from karolos.records import scan
 from karolos.registry import KINDS, names
 from karolos.specification import load_spec
+from karolos.specification.suite import is_suite
 
 SPECS = Path(__file__).parents[2] / "specs"
 BUDGET = (
@@ -196,6 +197,12 @@ def break_text(text: str, draw: random.Random) -> str:
 
 
 @cache
+def sources() -> list[Path]:
+    """The shipped specs that are no suites."""
+    return [path for path in sorted(SPECS.glob("*.yaml")) if not is_suite(path)]
+
+
+@cache
 def _dumped(source: Path) -> str:
     return json.dumps(load_spec(source).dump())
 
@@ -301,7 +308,7 @@ def write_mutant(number: int, seed: int, folder: Path) -> tuple[Path, list[str]]
     if not specs.exists():
         shutil.copytree(SPECS, specs)
         (specs / "loop.yaml").symlink_to("loop.yaml")
-    text, overrides = mutant(random.Random(f"{seed} {number}"), sorted(SPECS.glob("*.yaml")))
+    text, overrides = mutant(random.Random(f"{seed} {number}"), sources())
     path = specs / "mutant.yaml"
     path.write_text(text, "utf-8", errors="surrogatepass")
     return path, overrides

@@ -18,7 +18,7 @@ from ...core import Discrete, Environment, Step
 from ...errors import UsageError
 from ...registry import alternatives, load
 from ...simulation.engines import WINDOWS
-from ...specification.parts import OfKind, Part, Recipe
+from ...specification.parts import Part, Recipe
 from ...system import has_display
 from ..build import build_environment
 from ..robot_task import RobotTask
@@ -222,9 +222,12 @@ def _recipe(robot: str, task: str, settings: Mapping[str, Any], randomization: M
     for what, plugin in named.items():
         own = {name: value for name, value in settings.items() if name in models[what].model_fields}
         parts[what] = Part(*plugin, _valid(what, models[what].model_validate, own))
-    distributions = OfKind("distributions").validate
-    drawn = ((name, _valid(f"randomization.{name}", distributions, dict(one))) for name, one in randomization.items())
+    drawn = ((name, _valid(f"randomization.{name}", _distribution, dict(one))) for name, one in randomization.items())
     return Recipe(**parts, randomization=tuple(sorted(drawn)))
+
+
+def _distribution(given: dict[str, Any]) -> Part:
+    return Part.of("distributions", given.pop("name", ""), given)
 
 
 def _valid(where: str, validate: Callable[[Any], Any], value: Any) -> Any:
