@@ -133,11 +133,26 @@ def other_versions(other: Mapping[str, str]) -> list[str]:
     return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
 
 
+def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
+    """The settings whose files, and the modules of others whose source, a run was not made with.
+
+    Args:
+        about: content of the run's run.json.
+        files: of its spec now, as `Spec.files`.
+    """
+    modules = {name: digest for name, digest in (about.get("sources") or {}).items() if name != "karolos"}
+    return _differing(about.get("files") or {}, files) + _differing(modules, sources(modules))
+
+
+def _differing(made: Mapping[str, str], now: Mapping[str, str]) -> list[str]:
+    return sorted(name for name, digest in made.items() if now.get(name) != digest)
+
+
 def other_software(other: Mapping[str, Any]) -> list[str]:
     """How `software` is another one here; nothing is said of a source that is not known."""
     found, known = other_versions(other.get("versions", {})), other.get("sources") or {}
     own = {} if found else sources(known)
-    return found or [f"the source of {name} is another one" for name in known if known[name] != own.get(name)]
+    return found or [f"the source of {name} is another one" for name in _differing(known, own)]
 
 
 def check_software(launched: Mapping[str, Any], where: str) -> None:
