@@ -8,12 +8,12 @@ from dataclasses import dataclass
 from numbers import Integral, Real
 from typing import Any, TypeAlias
 
-from ..errors import Problem, SpecError
+from ..errors import Problem, SpecError, is_secret
 
 MAX_DEPTH = 32
 """Largest depth of nested mappings and lists. A spec needs six."""
 
-_VARIABLE = re.compile(r"~[\w.-]*/|(.*/)?\$(\w+|\{\w+\})(/|$)")
+_VARIABLE = re.compile(r"~([A-Za-z_][\w.-]*)?/|([^\s:]*/)?\$([A-Za-z_]\w*|\{\w+\})(/|$)")
 
 Scalar: TypeAlias = bool | int | float | str | None
 Path: TypeAlias = tuple[str | int, ...]
@@ -165,11 +165,15 @@ def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
 
 
 def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
-    """A problem for each path that begins with ~ or contains a $VARIABLE. The launcher's commands may."""
+    """A problem for each path that begins with ~ or contains a $VARIABLE.
+
+    The launcher's commands may; a setting for a secret may name the variable that holds it.
+    """
     entries = tree.mapping.items() if tree.mapping is not None else enumerate(tree.items or ())
     for key, node in entries:
         if (*path, key) != ("launcher",):
             yield from variable_problems(node, (*path, key))
-    if isinstance(tree.value, str) and _VARIABLE.match(tree.value):
+    secret = is_secret(next((step for step in reversed(path) if isinstance(step, str)), ""))
+    if isinstance(tree.value, str) and not secret and _VARIABLE.match(tree.value):
         what = f"{shown(tree.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
         yield Problem(tree.at, dotted(path), what, "write the path itself; a relative one moves with its project")

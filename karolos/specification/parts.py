@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -112,10 +111,9 @@ def _leaves(value: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[t
 
 
 def _looks_secret(path: tuple[str | int, ...], leaf: object) -> bool:
-    """Whether a text looks like a secret, by its key or by itself; the name of a variable does not."""
+    """Whether a value looks like a secret, by its key or by itself."""
     key = next((step for step in reversed(path) if isinstance(step, str)), "")
-    plain = isinstance(leaf, str) and not re.fullmatch(r"\$\{?\w+\}?|", leaf)
-    return isinstance(leaf, SecretStr) or (plain and recorded(leaf, key) != leaf)
+    return isinstance(leaf, SecretStr) or recorded(leaf, key) != leaf
 
 
 def _at_name(kind: str, message: str, value: object, hint: str | None = None) -> ValidationError:

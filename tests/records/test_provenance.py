@@ -144,6 +144,15 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
     assert provenance.command_line() == ["karolos", "run", *told]
 
 
+ORDINARY = (
+    "token: str | None = None; passes=2; token = find(x); token: Token | None = None; api_key=api_key; token == x",
+    "max_tokens: 100, pass: 2, tokens: [1, 2], token_dim=4, key_frames: a, pass_rate: b, author: c, keyboard=d",
+    "low_pass: butter, pad_token: <pad>, mask_token='[MASK]', auth: none, api_key: $MY_KEY",
+    "postgresql://me@host/db, ssh://git@host/x, http://localhost:8080/models/name@champion, a://b?x=y@z",
+    "sk-learn-based-policy and hf_model_for_something",
+)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -157,8 +166,13 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
         ("Authorization: Bearer x", "Authorization: Bearer ***"),
         ("x = 'ghp_0123456789abcdef'", "x = '***'"),
         ("-----BEGIN PRIVATE KEY-----\nx\n", "***"),
-        ("token: str | None = None; passes=2; token = find(x)", "token: str | None = None; passes=2; token = find(x)"),
-        ("nothing", "nothing"),
+        ("login(password=b'x\\'y', --api-key x)", "login(password=***, --api-key ***"),
+        (
+            "os.environ['API_KEY'] = 'x'; authorization: token x",
+            "os.environ['API_KEY'] = ***; authorization: token ***",
+        ),
+        ("https://h/?sig=x&se=2", "https://h/?sig=***&se=2"),
+        *((text, text) for text in ORDINARY),
     ],
 )
 def test_redaction_hides_secrets_only(text: str, expected: str) -> None:
