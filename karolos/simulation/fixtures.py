@@ -1,12 +1,12 @@
 """Fixtures and objects with joints from somebody's URDF or MJCF file, each name and number checked.
 
-Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh name
-file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or
-euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
-frictionloss), at most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler, fromto, mesh, mass or
-density). What is only drawn or measured is left out: geoms with contype and conaffinity 0, materials, cameras, lights,
-sites, sensors, options. A link has the name of its joint. Without an <inertial>, its inertia is that of its geoms, each
-with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
+Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh
+name file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat
+or euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
+frictionloss), at most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler,
+fromto, mesh, mass or density). What is only drawn or measured is left out: geoms with contype and conaffinity 0,
+materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an <inertial>, its
+inertia is that of its geoms, each with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
 """
 
 from __future__ import annotations

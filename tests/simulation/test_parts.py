@@ -116,7 +116,7 @@ DIALECTS: dict[str, tuple[str, bytes]] = {
     "count of a stream": ("stl", STL[:80] + b"\xff" * 4 + STL[84:]),
     "binary that begins like text": ("stl", b"solid" + STL[5:]),
     "OBJ with comments": ("obj", (OBJ + " # 1\n".join(FACES)).replace("\n #", " #").encode()),
-    "OBJ in broken lines": ("obj", (OBJ + "".join(FACES).replace("f ", "f \\\n")).encode()),
+    "OBJ in broken lines": ("obj", b"\xef\xbb\xbf" + (OBJ + "".join(FACES).replace("f ", "f \\\n")).encode()),
 }
 
 
