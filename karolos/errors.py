@@ -34,7 +34,7 @@ _ASSIGNED = re.compile(
     r"""(?P<value>[bfru]{0,2}(?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')|[^\s"'&;,)\]}]+)(?P<after>\s*[|=]\s)?""",
     re.IGNORECASE,
 )
-_OPTION = re.compile(rf"(--[\w-]*{_SECRET}\s+)(?!-)\S+", re.IGNORECASE)
+_OPTION = re.compile(rf"(--[\w-]*{_SECRET}\s+)(?!--)\S+", re.IGNORECASE)
 _CODE = re.compile(r"(?:None|str|bytes|int)\b.*|[A-Za-z_][\w.]*[(\[].*|self\.\w+|os\.\w.*")
 _SECRETS = (
     re.compile(
