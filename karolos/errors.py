@@ -69,7 +69,7 @@ def _hidden(found: re.Match[str]) -> str:
     same = value.rpartition(".")[2].lower() == name.lower()
     if number or same or found["after"] or _NO_SECRET.fullmatch(value.strip("\"'")) or _CODE.fullmatch(value):
         return found[0]
-    return f"{found[0][: found.start('value') - found.start()]}***{found[0][found.end('value') - found.start() :]}"
+    return f"{found[0].removesuffix(value)}***"
 
 
 def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:

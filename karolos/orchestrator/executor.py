@@ -19,7 +19,7 @@ STEP = b"s"
 """Commands: the first byte of a message. Their arguments are in the environment's row of the arrays."""
 
 LARGE = 1e30
-"""Numbers whose sum is smaller are finite in float32, unless a larger one cancels another."""
+"""Numbers of a smaller sum are finite in float32."""
 FAILURES = (Exception, SystemExit)
 """Exceptions of plugins that are reported to the parent."""
 

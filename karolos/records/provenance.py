@@ -134,12 +134,7 @@ def other_versions(other: Mapping[str, str]) -> list[str]:
 
 
 def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
-    """The settings whose files, and the modules of others whose source, a run was not made with.
-
-    Args:
-        about: content of the run's run.json.
-        files: of its spec now, as `Spec.files`.
-    """
+    """Settings whose files (`Spec.files`), and modules whose source are others now than in a run's run.json."""
     modules = {name: digest for name, digest in (about.get("sources") or {}).items() if name != "karolos"}
     made, now = {**modules, **(about.get("files") or {})}, {**sources(modules), **files}
     return sorted(name for name, digest in made.items() if now.get(name) != digest)

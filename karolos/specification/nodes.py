@@ -165,10 +165,7 @@ def leaves(value: object, path: tuple[str, ...] = ()) -> Iterator[tuple[tuple[st
 
 
 def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
-    """A problem for each path that begins with ~ or contains a $VARIABLE.
-
-    The launcher's commands may; a setting for a secret may name the variable that holds it.
-    """
+    """A problem for each path with ~ or a $VARIABLE. The launcher's commands may have them, and names of secrets."""
     entries = tree.mapping.items() if tree.mapping is not None else enumerate(tree.items or ())
     for key, node in entries:
         if (*path, key) != ("launcher",):
