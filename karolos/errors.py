@@ -21,21 +21,20 @@ _PATH = re.compile(
     r"(?:(?<=://)|(?<=:///)|(?<![\w./~*-]))/(?!/)(?:(?:home|Users)/[^/\s\"'=:,]+(?![^/\s\"'=:,])/?|(?:[^/\s\"'=:,]+/)+)"
     r"|\b[A-Za-z]:\\+(?:[^\\\s\"'=:,]+\\+)+"
 )
-_WEAK = r"token|pass|pwd|pw|auth|authorization|bearer"
 _SECRET = (
     r"(?:pass(?:word|wd|phrase|code)|secret|token|credential|(?:api|access|private|auth|secret|signing)[_-]?key"
     r"|(?<![a-z0-9])(?<!(?:low|one|two|all)_)(?<!(?:high|band|next|last)_)(?<!by_)(?<!first_)(?<!forward_)"
-    rf"(?:{_WEAK})|(?<=[?&])(?:X-Amz-)?(?:sig|signature))s?(?:[_-]?(?:key|value|id))?"
+    r"(?:pass|pwd|pw|auth|authorization|bearer)|(?<=[?&])(?:X-Amz-)?(?:sig|signature))s?(?:[_-]?(?:key|value|id))?"
 )
 _NO_SECRET = re.compile(r"\$\{?\w+\}?|<[^<>]*>|\[\w+\]|none|null|no|off|on|yes|true|false|auto|", re.IGNORECASE)
 """Values that are no secrets: the name of a variable, a mark such as <pad>, and words of settings."""
 _ASSIGNED = re.compile(
     rf"""(?P<name>{_SECRET})["']?\]?\s*(?::=|[:=](?!=))\s*(?:(?:bearer|basic|token)\s+(?=\w))?"""
-    r"""(?P<value>[bfru]{0,2}(?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')|[^\s"'&;,)\]}]+)(?P<after>\s*[|=]\s)?""",
+    r"""(?P<value>[bfru]{0,2}(?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')|[^\s"'&;,)\]}]+)(?=(?P<after>\s*[|=]\s)?)""",
     re.IGNORECASE,
 )
 _OPTION = re.compile(rf"(--[\w-]*{_SECRET}\s+)(?!--)\S+", re.IGNORECASE)
-_CODE = re.compile(r"(?:None|str|bytes|int)\b.*|[A-Za-z_][\w.]*[(\[].*|self\.\w+|os\.\w.*")
+_CODE = re.compile(r"None|str|bytes|int|[A-Za-z_][\w.]*[(\[].*|self\.\w+|os\.\w.*")
 _SECRETS = (
     re.compile(
         r"(?<=://)(?:(?![\w.-]+:\d{1,5}/)[^/\s@]*:\S*|(?:(?<=http://)|(?<=https://))[^/\s@?#]+)(?=@)"
@@ -64,10 +63,11 @@ def redact(text: str) -> str:
 
 def _hidden(found: re.Match[str]) -> str:
     """A name with *** as its value, unless this is a number of tokens, a variable, or code."""
-    name, value = found["name"], found["value"]
-    number = re.fullmatch(rf"(?:{_WEAK})s?", name, re.IGNORECASE) and re.fullmatch(r"[\[\d.e+-]+", value)
-    same = value.rpartition(".")[2].lower() == name.lower()
-    if number or same or found["after"] or _NO_SECRET.fullmatch(value.strip("\"'")) or _CODE.fullmatch(value):
+    name, value = found["name"].lower(), found["value"]
+    number = name in ("token", "tokens", "pass") and re.fullmatch(r"[\[\d.e+-]+", value)
+    kind = found["after"] and value.isalpha() and value[0].isupper()  # token: Token | None
+    plain = _NO_SECRET.fullmatch(value.strip("\"'")) or _CODE.fullmatch(value)
+    if number or kind or plain or value.rpartition(".")[2].lower() == name:
         return found[0]
     return f"{found[0].removesuffix(value)}***"
 

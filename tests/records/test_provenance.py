@@ -202,6 +202,7 @@ ORDINARY = (
             "os.environ['API_KEY'] = ***; authorization: token ***",
         ),
         ("https://h/?sig=x&se=2", "https://h/?sig=***&se=2"),
+        ("TOKEN=x | tee log; pwd=1; password = str-ong", "TOKEN=*** | tee log; pwd=***; password = ***"),
         *((text, text) for text in ORDINARY),
     ],
 )
