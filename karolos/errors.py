@@ -17,25 +17,36 @@ LONGEST = 1000
 """Most characters that an error says of what is wrong: a value that it repeats may have any length."""
 
 
-_PATH = re.compile(r"(?:(?<=:///)|(?<![\w.:/~*-]))/(?:[^/\s\"'=:,]+/)+")
+_PATH = re.compile(
+    r"(?:(?<=://)|(?<=:///)|(?<![\w./~*-]))/(?!/)(?:(?:home|Users)/[^/\s\"'=:,]+(?![^/\s\"'=:,])/?|(?:[^/\s\"'=:,]+/)+)"
+    r"|\b[A-Za-z]:\\+(?:[^\\\s\"'=:,]+\\+)+"
+)
 _SECRET = (
     r"(?:pass(?:word|wd|phrase|code)|secret|token|credential|(?:api|access|private|auth|secret|signing)[_-]?key"
-    r"|(?<![a-z0-9])(?:pass|pwd|pw|auth|authorization|bearer))s?(?:[_-]?(?:key|value|id))?"
+    r"|(?<![a-z0-9])(?<!(?:low|one|two|all)_)(?<!(?:high|band|next|last)_)(?<!by_)(?<!first_)(?<!forward_)"
+    r"(?:pass|pwd|pw|auth|authorization|bearer)|(?<=[?&])(?:X-Amz-)?(?:sig|signature))s?(?:[_-]?(?:key|value|id))?"
 )
+_NO_SECRET = re.compile(r"\$\{?\w+\}?|<[^<>]*>|\[\w+\]|none|null|no|off|on|yes|true|false|auto|", re.IGNORECASE)
+"""Values that are no secrets: the name of a variable, a mark such as <pad>, and words of settings."""
+_ASSIGNED = re.compile(
+    rf"""(?P<name>{_SECRET})["']?\]?\s*(?::=|[:=](?!=))\s*(?:(?:bearer|basic|token)\s+(?=\w))?"""
+    r"""(?P<value>[bfru]{0,2}(?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')|[^\s"'&;,)\]}]+)(?=(?P<after>\s*[|=]\s)?)""",
+    re.IGNORECASE,
+)
+_OPTION = re.compile(rf"(--[\w-]*{_SECRET}\s+)(?!--)\S+", re.IGNORECASE)
+_CODE = re.compile(r"None|str|bytes|int|[A-Za-z_][\w.]*[(\[].*|self\.\w+|os\.\w.*")
 _SECRETS = (
-    (re.compile(r"(?<=://)(?:[^/\s@:]*:\S*|[^/\s@]+)@"), "***@"),
-    (re.compile(r"-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*-----|\Z)", re.DOTALL), "***"),
-    (re.compile(r"\b(?:gh[a-z]_|github_pat_|glpat-|hf_|sk-|xox[a-z]-|AKIA)[\w-]{12,}"), "***"),
-    (
-        re.compile(
-            rf"""({_SECRET}["']?\s*[:=]\s*(?:(?:bearer|basic)\s+)?)(?!None\b|str\b|true\b|false\b|null\b)"""
-            r"""("[^"\n]*"|'[^'\n]*'|(?![A-Za-z_][\w.]*[(\[])[^\s"'&;,)\]}]+)""",
-            re.IGNORECASE,
-        ),
-        r"\1***",
+    re.compile(
+        r"(?<=://)(?:(?![\w.-]+:\d{1,5}/)[^/\s@]*:\S*|(?:(?<=http://)|(?<=https://))[^/\s@?#]+)(?=@)"
+        r"|-----BEGIN [A-Z ]*PRIVATE KEY-----.*?(?:-----END [A-Z ]*-----|\Z)",
+        re.DOTALL,
+    ),
+    re.compile(
+        r"\b(?:gh[a-z]_\w{12,}|(?:github_pat_|glpat-|xox[a-z]-|pypi-)[\w-]{12,}|(?:hf|npm)_[A-Za-z0-9]{12,}"
+        r"|sk-(?=[\w-]*\d)[\w-]{12,}|AKIA[A-Z0-9]{12,}|AIza[\w-]{30,}|eyJ[\w-]{10,}\.[\w-]+\.[\w-]+)"
     ),
 )
-"""User and password in a URL, keys, tokens of well-known services, and the values of what is called a secret."""
+"""User and password in a URL, keys, and tokens of well-known services."""
 
 
 def is_secret(key: str) -> bool:
@@ -45,9 +56,20 @@ def is_secret(key: str) -> bool:
 
 def redact(text: str) -> str:
     """Replace what looks like a secret by ***; in doubt, too much is replaced."""
-    for pattern, shown in _SECRETS:
-        text = pattern.sub(shown, text)
-    return text
+    for pattern in _SECRETS:
+        text = pattern.sub("***", text)
+    return _OPTION.sub(r"\1***", _ASSIGNED.sub(_hidden, text))
+
+
+def _hidden(found: re.Match[str]) -> str:
+    """A name with *** as its value, unless this is a number of tokens, a variable, or code."""
+    name, value = found["name"].lower(), found["value"]
+    number = name in ("token", "tokens", "pass") and re.fullmatch(r"[\[\d.e+-]+", value)
+    kind = found["after"] and value.isalpha() and value[0].isupper()  # token: Token | None
+    plain = _NO_SECRET.fullmatch(value.strip("\"'")) or _CODE.fullmatch(value)
+    if number or kind or plain or value.rpartition(".")[2].lower() == name:
+        return found[0]
+    return f"{found[0].removesuffix(value)}***"
 
 
 def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
@@ -58,7 +80,7 @@ def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
         return [recorded(one, key, folders=folders) for one in value]
     if not isinstance(value, str):
         return value
-    text = "***" if value and is_secret(key) else redact(value)
+    text = "***" if is_secret(key) and not _NO_SECRET.fullmatch(value) else redact(value)
     return text if folders else without_folders(text)
 
 

@@ -28,13 +28,19 @@ _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
-MOST_FILES, LARGEST_FILE, LARGEST_TEXT = 20_000, 1 << 34, 20_000_000
-"""What `fingerprint` reads: files of a folder, bytes of a file, and bytes of one that names others."""
-_NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py")
+MOST_FILES, MOST_BYTES = 20_000, 1 << 32
+"""Of a folder that counts by its content; a larger one counts by its name."""
+LARGE_FILE, SAMPLES, SAMPLE = 1 << 26, 256, 1 << 16
+"""Bytes; a larger file counts by its size and so many parts of so many bytes, so that specs stay fast."""
+_NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py", ".json", ".toml", ".yaml", ".yml")
 _NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
+_UNQUOTED = re.compile(r"""[:-][ \t]+([^\s"'#]{1,300}\.\w{1,8})[ \t]*$""", re.MULTILINE)
+"""A name in YAML."""
+_JOINED = re.compile(r"""["']\s*[,/]\s*f?["']|\{\w+\}/""")
+"""What joins the parts of a path in Python, or stands before it in an f-string."""
 _FOLDER = re.compile(r"""\b(?:mesh|asset)dir\s*=\s*["']([^"'<>]{1,300})["']""")
 """Where an MJCF file says that its meshes are."""
-_IMPORTED = re.compile(r"^(?:from|import)\s+(\w+)", re.MULTILINE)
+_IMPORTED = re.compile(r"^[ \t]*(?:from|import)[ \t]+(\w[\w., \t]*)", re.MULTILINE)
 _NO_SOURCE = re.compile(r"[.#].*|.*~|.*\.(?:py[co]|nb[ic])|__pycache__|specs|runs|shipped_runs")
 """Names in a package that are no source: files that are hidden, an editor's, compiled, specs or runs."""
 LOCK_SECONDS = 20.0
@@ -94,62 +100,81 @@ def find_named(name: str, folder: Path) -> Path | None:
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
     """SHA-256 (hex) of a file or of the source in a folder, and of files that are named there; None if it is neither.
 
-    A URDF names its meshes, a module the files in its texts and the modules beside it.
+    A URDF names its meshes, a module the files in its texts and the modules and packages beside it.
 
     Args:
         path: of the file or the folder.
-        unread: gets a line for each file that does not count: a dangling link, no plain file, or one beyond the limits.
+        unread: gets a line for each file that does not count, such as a dangling link, or a folder that is too large.
         follow: include the files that are named.
     """
     notes: list[str] = [] if unread is None else unread
-    if not os.path.isdir(path) and not os.path.isfile(path):
-        return None
-    pending = list(_source(path, notes)) if os.path.isdir(path) else [("", path)]
-    digest, seen = hashlib.sha256(), {os.path.realpath(one) for _, one in pending}
+    pending = list(_source(path, notes)) if os.path.isdir(path) else [("", path)] if os.path.isfile(path) else []
+    total, digest, seen = 0, hashlib.sha256(), {str(one) for _, one in pending}
     for name, one in pending:  # which grows
-        content = "unread"
-        others: tuple[str, ...] = ()
+        if len(pending) > MOST_FILES or total > MOST_BYTES:
+            notes.append(f"more than {MOST_FILES:,} files or {MOST_BYTES:,} bytes: its files do not count")
+            return None
+        content, others = "unread", tuple[str, ...]()
         try:
             status = os.stat(one)
-            if not stat.S_ISREG(status.st_mode) or status.st_size > LARGEST_FILE or len(seen) > MOST_FILES:
-                raise OSError("no plain file, or one too large or too many")
+            if not stat.S_ISREG(status.st_mode):
+                raise OSError("no plain file")
+            total += min(status.st_size, LARGE_FILE)
             content, others = _content(str(one), status.st_mtime_ns, status.st_size, status.st_ino)
         except OSError as error:
             notes.append(f"{name or one.name}: {error.strerror or error}")
         digest.update(f"{name}\0{content}\n".encode(errors="surrogateescape"))
         for other in others if follow else ():
-            found = find_named(other, one.parent)
-            if found is not None and str(found) not in seen:
-                seen.add(str(found))
-                pending.append((other, found))
-    return digest.hexdigest()
+            inside: Iterable[tuple[str, Path]] = ()
+            if other.endswith("/"):
+                inside = _source(one.parent / other, notes) if os.path.isdir(one.parent / other) else ()
+            elif (found := find_named(other, one.parent)) is not None:
+                inside = [("", found)]
+            new = [(other + below, file) for below, file in inside if str(file) not in seen]
+            seen |= {str(file) for _, file in new}
+            pending += new
+    return digest.hexdigest() if pending else None
 
 
 def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
-    """Name and path of the files below a folder; a folder that links lead to twice is read once."""
-    visited: set[str] = set()
+    """Name and path of the files below a folder, few more than count; one that links lead to twice is read once."""
+    visited, count = set[str](), 0
     for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: notes.append(str(error))):
         visited.add(os.path.realpath(place))
         inside = [one for one in sorted(folders) if not _NO_SOURCE.fullmatch(one)]
         folders[:] = [one for one in inside if os.path.realpath(os.path.join(place, one)) not in visited]
         for path in (Path(place, name) for name in sorted(names) if not _NO_SOURCE.fullmatch(name)):
+            count += 1
             yield path.relative_to(folder).as_posix(), path
+        if count > MOST_FILES:
+            return
 
 
 @lru_cache(maxsize=2 * MOST_FILES)
-def _content(path: str, *_: int) -> tuple[str, tuple[str, ...]]:
-    """SHA-256 (hex) of a file, and what it names. The numbers change with the file."""
+def _content(path: str, _: int, size: int, *__: int) -> tuple[str, tuple[str, ...]]:
+    """SHA-256 (hex) of a file, and what it names; packages end in /. The numbers change with the file."""
     with open(path, "rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
-        if not path.lower().endswith(_NAMING):
-            return digest, ()
-        file.seek(0)
-        text = file.read(LARGEST_TEXT).decode(errors="replace")
+        if size > LARGE_FILE:
+            digest = hashlib.sha256(str(size).encode())
+            for part in range(SAMPLES):
+                file.seek(part * (size - SAMPLE) // (SAMPLES - 1))
+                digest.update(file.read(SAMPLE))
+            return digest.hexdigest(), ()
+        data = file.read()
+    found = hashlib.sha256(data).hexdigest()
+    if not path.lower().endswith(_NAMING):
+        return found, ()
+    text = data.decode(errors="replace")
     named = _NAMED.findall(text)
     named += [f"{folder}/{name}" for folder in _FOLDER.findall(text) for name in named]
+    if path.lower().endswith((".yaml", ".yml")):
+        named += _UNQUOTED.findall(text)
     if path.endswith(".py") and "-packages" not in path:  # site-packages and dist-packages hold modules of others
-        named += [name for module in _IMPORTED.findall(text) for name in (f"{module}.py", f"{module}/__init__.py")]
-    return digest, tuple(dict.fromkeys(named))
+        named += _NAMED.findall(_JOINED.sub(lambda joint: "/" if "{" not in joint[0] else "", text))
+        lines = (line.partition(" import")[0].split(",") for line in _IMPORTED.findall(text))
+        modules = {module.split()[0].partition(".")[0] for line in lines for module in line if module.strip()}
+        named += [f"{module}{end}" for module in sorted(modules - {"karolos"}) for end in (".py", "/")]
+    return found, tuple(dict.fromkeys(named))
 
 
 def remove_leftovers(folder: Path, pattern: str) -> None:

@@ -76,9 +76,9 @@ def imported(heavy: list[str], *words: str) -> str:
 
 DESCRIBE = """
 import karolos.specification
-from karolos.specification.parts import OfKind
+from karolos.specification.parts import Part
 for kind, name in [("environments", "toy"), ("robots", "panda"), ("tasks", "reach")]:
-    OfKind(kind).validate({"name": name})
+    Part.of(kind, name, {})
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -18,7 +19,7 @@ from ..environments.build import build_environment, used
 from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
 from ..files import read_object
-from ..records import RunFolder
+from ..records import RunFolder, provenance
 from ..records.results import TestCounts
 from ..records.shipped import POLICY, is_shipped
 from ..registry import blaming, load
@@ -156,7 +157,7 @@ def has_window(spec: Spec) -> bool:
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
-    """The agent of a run's checkpoint.
+    """The agent of a run's checkpoint. Warns of files that were edited since the run began.
 
     Args:
         folder: the run's.
@@ -166,6 +167,8 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
     """
     spec, learned = spec_of(folder), read_learned(folder, name)
+    if changed := provenance.edited(folder.description(), spec.files()):
+        warnings.warn(f"{folder.id} was made before {', '.join(changed)} was edited: results may differ", stacklevel=2)
     signature = signature_of(playable(spec))
     agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
     with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):

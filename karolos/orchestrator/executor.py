@@ -18,6 +18,8 @@ RESET = b"r"
 STEP = b"s"
 """Commands: the first byte of a message. Their arguments are in the environment's row of the arrays."""
 
+LARGE = 1e30
+"""Numbers of a smaller sum are finite in float32."""
 FAILURES = (Exception, SystemExit)
 """Exceptions of plugins that are reported to the parent."""
 
@@ -71,7 +73,7 @@ class Executor:
             self._broken.remove(index)
         environment = self._environments[position]
         step = environment.reset(int(self._arrays.seed[index]))
-        _check_shapes(environment, step)
+        _check_reset(environment, step)
         self._write(environment, index, step)
         if self.signature.parameters.size:
             self._arrays.parameters[index] = environment.parameters()
@@ -81,7 +83,11 @@ class Executor:
         # A copy, because an environment may store its last actions (e.g. an action delay) and the row is overwritten.
         action = int(row[0]) if self._discrete else row.copy()
         environment = self._environments[index - self._first]
-        self._write(environment, index, environment.step(np.asarray(action)))
+        step = environment.step(np.asarray(action))
+        if not _is_finite(step):  # the episode diverged: it ends with the state before
+            before = Step(*(array[index] for array in self._arrays.step))
+            step = before._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
+        self._write(environment, index, step)
 
     def _write(self, environment: Environment, index: int, step: Step) -> None:
         for array, value in zip(self._arrays.step, step, strict=True):
@@ -90,8 +96,18 @@ class Executor:
             self._arrays.measures[index] = environment.measures()
 
 
-def _check_shapes(environment: Environment, step: Step) -> None:
-    """Raise PluginError for a shape that NumPy would broadcast silently. Called once per episode."""
+def _is_finite(step: Step) -> bool:
+    """Whether all numbers of a step are finite in float32."""
+    numbers = [np.asarray(one) for one in step[:4]]
+    total = sum(sum(one.tolist()) for one in numbers[:3]) + step.reward
+    if abs(total) < LARGE:  # ten times as fast as `isfinite`
+        return True
+    with np.errstate(over="ignore"):
+        return all(np.isfinite(one.astype(np.float32)).all() for one in numbers)
+
+
+def _check_reset(environment: Environment, step: Step) -> None:
+    """Raise PluginError for numbers that are not finite, or a shape that NumPy would broadcast silently."""
     signature = environment.signature
     for name, array, layout in (
         ("observation", step.observation, signature.observation),
@@ -105,6 +121,9 @@ def _check_shapes(environment: Environment, step: Step) -> None:
                 f"its signature says {(layout.size,)}",
                 hint="make the environment's signature and its steps agree",
             )
+    if not _is_finite(step):
+        what = f"{type(environment).__name__}.reset returns numbers that are not finite"
+        raise PluginError(what, hint="check how the environment computes them")
 
 
 def as_karolos_error(error: BaseException, where: str) -> KarolosError:

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError, is_secret, redact, without_folders
+from ..errors import MachineError, redact, without_folders
 from ..files import fingerprint
 from ..registry import KINDS, PluginEntry, entries
 
@@ -25,6 +25,8 @@ GIT_SECONDS = 10.0
 DIFF_BYTES = 1_000_000
 """Longer differences are cut off: data files do not belong into a run folder."""
 UNTRACKED_FILES = 50
+_BETWEEN = "\x1f"
+"""Separates arguments: white space, which no argument holds."""
 
 _SECRET_FILES = (
     *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
@@ -52,9 +54,7 @@ class Code:
 def command_line() -> list[str]:
     """The command that started this process, without folders of absolute paths and without secrets."""
     program, *arguments = sys.argv or [""]
-    after = [before.startswith("--") and is_secret(before) for before in ("", *arguments)]
-    told = ("***" if hidden else without_folders(redact(one)) for one, hidden in zip(arguments, after, strict=False))
-    return [Path(program).name, *told]
+    return [Path(program).name, *without_folders(redact(_BETWEEN.join(arguments))).split(_BETWEEN)[: len(arguments)]]
 
 
 @cache
@@ -131,6 +131,13 @@ def other_versions(other: Mapping[str, str]) -> list[str]:
     own = versions()
     found = [(name, own.get(name, "missing"), version) for name, version in sorted(other.items())]
     return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
+
+
+def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
+    """Settings whose files (`Spec.files`), and modules whose source are others now than in a run's run.json."""
+    modules = {name: digest for name, digest in (about.get("sources") or {}).items() if name != "karolos"}
+    made, now = {**modules, **(about.get("files") or {})}, {**sources(modules), **files}
+    return sorted(name for name, digest in made.items() if now.get(name) != digest)
 
 
 def other_software(other: Mapping[str, Any]) -> list[str]:

@@ -87,7 +87,8 @@ def _csv_cell(value: Any) -> object:
     if not isinstance(value, str):
         return value
     text = clean(value, allowed="\n")
-    return f"'{text}" if text.lstrip().startswith(("=", "+", "-", "@")) else text
+    numbers = re.fullmatch(r"-?[\d.e+-]+(; -?[\d.e+-]+)*", text)
+    return f"'{text}" if text.lstrip().startswith(("=", "+", "-", "@")) and not numbers else text
 
 
 def finite(value: Any) -> Any:

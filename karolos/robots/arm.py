@@ -219,15 +219,8 @@ class Arm:
         if self.mode in ("pose", "impedance"):
             facts["frame"] = settings.frame
         if self.mode == "impedance":
-            spring = (
-                "stiffness",
-                "turn_stiffness",
-                "damping_ratio",
-                "error_limit",
-                "turn_error_limit",
-                "stiffness_range",
-            )
-            facts["spring"] = {key: getattr(settings, key) for key in spring}
+            spring = "stiffness turn_stiffness damping_ratio error_limit turn_error_limit stiffness_range"
+            facts["spring"] = {key: getattr(settings, key) for key in spring.split()}
         if self._commanded:
             width = self._grip.width if isinstance(self._grip, Gripper) else None
             facts["gripper"] = {"closed": -1, "open": 1, "width": width}

@@ -1,12 +1,12 @@
 """Fixtures and objects with joints from somebody's URDF or MJCF file, each name and number checked.
 
-Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir>, <asset> with <mesh name file
-scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or euler,
-childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping, frictionloss), at
-most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler, fromto, mesh, mass or
-density). What is only drawn or measured is left out: geoms with contype and conaffinity 0, materials, cameras, lights,
-sites, sensors, options. A link has the name of its joint. Without an <inertial>, its inertia is that of its geoms, each
-with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
+Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh
+name file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat
+or euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
+frictionloss), at most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler,
+fromto, mesh, mass or density). What is only drawn or measured is left out: geoms with contype and conaffinity 0,
+materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an <inertial>, its
+inertia is that of its geoms, each with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ _LEFT_OUT = {
 }
 _ATTRIBUTES = {
     "mujoco": "model",
-    "compiler": "angle meshdir autolimits",
+    "compiler": "angle meshdir assetdir texturedir autolimits discardvisual usethread",
     "asset": "",
     "worldbody": "",
     "default": "class",
-    "mesh": "name class file scale",
+    "mesh": "name class file scale smoothnormal maxhullvert",
     "body": "name childclass pos quat euler",
     "joint": "name class type pos axis range limited damping frictionloss",
     "inertial": "pos quat mass diaginertia",
@@ -113,8 +113,8 @@ class _Reader:
             self._learn(default, "main", {})
         for part in self._parts(self._root, "compiler default asset worldbody"):
             if part.tag == "compiler":
-                folder = folder / part.get("meshdir", "")
-                self._degree = 1.0 if part.get("angle") == "radian" else self._degree
+                folder = self._path.parent / part.get("meshdir", part.get("assetdir", folder))
+                self._degree = {"radian": 1.0, "degree": np.pi / 180}.get(part.get("angle", ""), self._degree)
             for mesh in self._parts(part, "mesh") if part.tag == "asset" else ():
                 self._complete(mesh, "main")
                 file, scale = folder / mesh.get("file", ""), self._numbers(mesh, "scale", (1.0, 1.0, 1.0))
@@ -143,8 +143,10 @@ class _Reader:
         name = element.get("class", usual)
         if name not in self._usual:
             raise self._error(element, f"there is no class {urdf.short(name)}")
+        turned = "quat" in element.attrib or "euler" in element.attrib
         for key, value in self._usual[name].get(element.tag, {}).items():
-            element.attrib.setdefault(key, value)
+            if not (turned and key in ("quat", "euler")):
+                element.attrib.setdefault(key, value)
 
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
         """A body and what moves on it. A link's frame is in its joint: `offset` (3,) of the parent's in its body."""
@@ -156,7 +158,8 @@ class _Reader:
             raise self._error(body, "a body on another has one joint, the base none, and each one <inertial> at most")
         joint = joints[0] if joints else Element("joint", range="0 0")
         name, turns = joint.get("name", body.get("name", "base")), joint.get("type", "hinge") == "hinge"
-        if "range" not in joint.attrib or joint.get("type", "hinge") not in ("hinge", "slide"):
+        unlimited = "range" not in joint.attrib or joint.get("limited") == "false"
+        if unlimited or joint.get("type", "hinge") not in ("hinge", "slide"):
             raise self._error(joint, "it needs the type hinge or slide and a range")
         place, turn = self._pose(body)
         pivot = self._numbers(joint, "pos", (0.0, 0.0, 0.0))
@@ -254,7 +257,7 @@ class _Reader:
         for part in parts:
             if part.tag not in known.split():
                 raise self._error(part, f"<{part.tag}> in <{element.tag}> is not known to karolos")
-            if part.tag in ("geom", "joint", "inertial"):
+            if part.tag in ("geom", "joint", "inertial", "compiler", "mesh"):
                 self._parts(part, "")
         if strange:
             raise self._error(element, f"{', '.join(strange)} is not known to karolos")

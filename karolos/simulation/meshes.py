@@ -14,6 +14,7 @@ import re
 import sys
 import tempfile
 import warnings
+from codecs import BOM_UTF8
 from collections import Counter
 from collections.abc import Sequence
 from functools import lru_cache
@@ -313,7 +314,9 @@ def _dae(data: bytes, path: Path) -> NDArray[np.float32]:
 def _obj(data: bytes, path: Path) -> NDArray[np.float32]:
     corners: list[list[float]] = []
     faces: list[tuple[int, int, int]] = []
-    for number, line in enumerate(data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1):
+    for number, line in enumerate(
+        data.removeprefix(BOM_UTF8).replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines(), 1
+    ):
         word, *rest = line.partition(b"#")[0].split() or [b""]
         try:
             if word == b"v":

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import re
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -166,14 +165,22 @@ class Continued(Settings):
     at: int = Setting(ge=0, description="environment steps that its runs have taken")
 
 
+_WRITTEN = re.compile(
+    r"(?:^|_)(?:logs?|outputs?|out|saves?|videos?|films?|monitor|cache|te?mp|results?)"
+    r"(?:_?(?:dir|folder|path|file|to|root)\w*)?(?:_|$)"
+)
+"""Names of settings for what an environment writes: its content is no part of an experiment."""
+
+
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
     """JSON with hashes of content in place of names of files and folders; `found` gets these by key path."""
     if isinstance(value, dict):
         return {key: _by_content(entry, found, f"{path}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list):
         return [_by_content(entry, found, f"{path}[{place}]") for place, entry in enumerate(value)]
-    if isinstance(value, str) and re.search(r"[/\\]|\.\w{1,8}$", value):
-        digest = fingerprint(Path(os.path.expanduser(os.path.expandvars(value))))
+    named = isinstance(value, str) and re.search(r"[/\\]|\.\w{1,8}$", value)
+    if named and not _WRITTEN.search(path.rpartition(".")[2].partition("[")[0]):
+        digest = fingerprint(Path(value))
         if digest is not None:
             found[path] = digest
             return f"sha256:{digest}"

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -98,10 +97,9 @@ class OfKind:
 
 
 def _looks_secret(path: Path, value: object) -> bool:
-    """Whether a text looks like a secret, by its key or by itself; the name of a variable does not."""
+    """Whether a value looks like a secret, by its key or by itself."""
     key = next((step for step in reversed(path) if isinstance(step, str)), "")
-    plain = isinstance(value, str) and not re.fullmatch(r"\$\{?\w+\}?|", value)
-    return isinstance(value, SecretStr) or (plain and recorded(value, key) != value)
+    return isinstance(value, SecretStr) or recorded(value, key) != value
 
 
 def validate_strictly(model: type[BaseModel], value: object, context: object = None) -> Any:

@@ -34,7 +34,7 @@ REMOVABLE = ((), (RANDOMIZATION,), (SWEEP,), (SWEEP, "space"), (TRANSFER,), (TRA
 MAX_DEPTH = 32
 """Largest depth of nested mappings and lists. A spec needs six."""
 
-_VARIABLE = re.compile(r"~[\w.-]*/|(.*/)?\$(\w+|\{\w+\})(/|$)")
+_VARIABLE = re.compile(r"~([A-Za-z_][\w.-]*)?/|([^\s:]*/)?\$([A-Za-z_]\w*|\{\w+\})(/|$)")
 
 Scalar: TypeAlias = bool | int | float | str | None
 Path: TypeAlias = tuple[str | int, ...]
@@ -218,8 +218,9 @@ def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
     for key, node in entries:
         if (*path, key) != ("launcher",):
             yield from variable_problems(node, (*path, key))
-    is_path = not path or not is_secret(str(path[-1]))  # a plugin reads a secret from the variable that is named
-    if is_path and isinstance(tree.value, str) and _VARIABLE.match(tree.value):
+    # A plugin reads a secret from the variable that is named.
+    secret = is_secret(next((step for step in reversed(path) if isinstance(step, str)), ""))
+    if not secret and isinstance(tree.value, str) and _VARIABLE.match(tree.value):
         what = f"{shown(tree.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
         yield Problem(tree.at, dotted(path), what, "write the path itself; a relative one moves with its project")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ import numpy as np
 from ..core import Failure, FloatArray, Orchestrator, Received, State, Step
 from ..core.orchestrator import environments_of
 from ..core.seeding import SeedTree
-from ..errors import PluginError, UsageError
+from ..errors import UsageError
 
 
 @dataclass(frozen=True)
@@ -91,11 +90,7 @@ class Episodes:
         self._orchestrator.step(environments, actions, updates=updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for answers as `Orchestrator.receive` does, and count them. An episode that failed has no record.
-
-        Raises:
-            PluginError: a reward is not finite.
-        """
+        """Wait for answers as `Orchestrator.receive` does, and count them. An episode that failed has no record."""
         received = self._counted(self._orchestrator.receive(at_least))
         if self._replay and any(failure.lost for failure in received.failures):
             return self._with_replayed(received)
@@ -155,14 +150,6 @@ class Episodes:
         return received
 
     def _count(self, environments: np.ndarray, step: Step) -> None:
-        if not math.isfinite(step.reward.sum()) and not np.isfinite(step.reward).all():  # a sum is cheaper
-            first = int(np.flatnonzero(~np.isfinite(step.reward))[0])
-            raise PluginError(
-                f"the environment gave the reward {step.reward[first]} after step"
-                f" {self._steps[environments[first]] + 1} of an episode",
-                where=f"environment {environments[first]}",
-                hint="a reward is a finite number: check how the environment or the task computes it",
-            )
         self._steps[environments] += 1
         self._total_reward[environments] += step.reward
         self._any[environments] |= step.success

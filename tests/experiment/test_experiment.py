@@ -219,25 +219,6 @@ def test_a_loss_that_is_not_a_number_stops_the_run_and_names_it(tmp_path, monkey
         Experiment(spec()).run(tmp_path)
 
 
-def test_a_reward_that_is_not_a_number_stops_the_run_and_names_the_environment(tmp_path, monkeypatch):
-    from karolos.environments.toy import Toy
-
-    step, taken = Toy.step, []
-
-    def broken(self, action):
-        taken.append(self)
-        found = step(self, action)
-        return found._replace(reward=float("nan")) if len(taken) == 33 else found  # three are those of the check
-
-    monkeypatch.setattr(Toy, "step", broken)
-    one = {"name": "local", "processes": 0, "environments": 2}
-    plain = {"name": "uniform", "capacity": 1000}
-    with pytest.raises(
-        RunError, match=r"environment 1: the environment gave the reward nan after step \d+ of an episode"
-    ):
-        Experiment(spec(orchestrator=one, buffer=plain)).run(tmp_path)
-
-
 @pytest.mark.parametrize(("fails", "state"), [(5, "finished"), (10**6, "failed")])
 def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fails(tmp_path, monkeypatch, fails, state):
     save, left = checkpoint.save, list(range(fails))  # two of three tests, and the end of training

@@ -21,11 +21,14 @@ from support.fake_environments import (
     EXIT,
     FINE,
     HANG,
+    HUGE,
     INTERRUPT,
+    NAN,
     QUIRKY,
     RAISE,
     SEGFAULT,
     SLOW,
+    WORTHLESS,
     Fake,
     Fickle,
 )
@@ -61,6 +64,19 @@ def test_what_a_step_raises_arrives_in_one_line(layout, trouble, kind, told):
             orchestrator.receive()
     assert "\n" not in str(caught.value)
     assert trouble != RAISE or "_fail_deep_inside" in caught.value.traceback
+
+
+@every_layout
+def test_a_step_that_is_not_finite_ends_the_episode_as_diverged_with_the_state_before(layout):
+    with make(layout) as orchestrator:
+        reset(orchestrator)
+        step(orchestrator, NAN, HUGE, WORTHLESS, FINE)
+        found = orchestrator.receive().step
+        assert found.diverged.tolist() == found.truncated.tolist() == [True, True, True, False]
+        assert found.observation[:, 1].tolist() == [0, 0, 0, 1]
+        assert np.isfinite(found.reward).all()
+    with make(layout, "nan") as orchestrator, pytest.raises(PluginError, match=r"Fake\.reset returns numbers"):
+        reset(orchestrator)
 
 
 def interrupt() -> None:

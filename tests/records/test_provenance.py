@@ -3,14 +3,17 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import time
 from importlib import metadata
 from pathlib import Path
 
 import pytest
 
+from karolos import files
 from karolos.errors import recorded
 from karolos.files import fingerprint
 from karolos.records import provenance
+from karolos.specification import spec_from_dict
 
 
 def git(folder: Path, *arguments: str) -> None:
@@ -85,8 +88,12 @@ def test_machine_without_git_has_no_code(work_tree: Path, monkeypatch: pytest.Mo
 FILES = {
     "arm.urdf": '<robot><mesh filename="package://arm/meshes/a.stl"/></robot>',
     "door.xml": "<mujoco><compiler meshdir='meshes'/><mesh file='b.stl'/></mujoco>",
-    "mine.py": "import helper\nPART = 'meshes/c.stl'\n",
-    "helper.py": "x = 1\n",
+    "mine.py": "import json, helper\nPART = 'meshes/c.stl'\ndef x():\n    from beside.deep import y\n",
+    "helper.py": "x = 1\nREAD = Path(__file__).parent / 'meshes' / 'd.npy'\n",
+    "beside/deep.py": "open(f'{HERE}/e.yaml')\n",
+    "beside/e.yaml": "part: f.csv\n",
+    "beside/f.csv": "1",
+    "meshes/d.npy": "d",
     "meshes/a.stl": "a",
     "meshes/b.stl": "b",
     "meshes/c.stl": "c",
@@ -98,14 +105,15 @@ FILES = {
     [
         ("arm.urdf", "arm.urdf meshes/a.stl"),
         ("door.xml", "door.xml meshes/b.stl"),
-        ("mine.py", "mine.py helper.py meshes/c.stl"),
-        ("meshes", "meshes/a.stl meshes/b.stl meshes/c.stl"),
+        ("mine.py", "mine.py helper.py meshes/c.stl meshes/d.npy beside/deep.py beside/e.yaml beside/f.csv"),
+        ("meshes", "meshes/a.stl meshes/b.stl meshes/c.stl meshes/d.npy"),
     ],
 )
 def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(
     tmp_path: Path, top: str, reads: str
 ) -> None:
     (tmp_path / "meshes").mkdir()
+    (tmp_path / "beside").mkdir()
     for name, text in FILES.items():
         (tmp_path / name).write_text(text)
     before = fingerprint(tmp_path / top)
@@ -115,6 +123,28 @@ def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(
         (tmp_path / name).write_text(text)
     assert fingerprint(tmp_path / top) == before
     assert fingerprint(tmp_path / "missing") is None
+
+
+def test_large_files_and_folders_and_what_is_written_keep_a_spec_fast(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with (tmp_path / "large.npy").open("wb") as file:
+        file.truncate(1 << 36)  # without blocks on the disk
+    before, start = fingerprint(tmp_path / "large.npy"), time.process_time()
+    with (tmp_path / "large.npy").open("r+b") as file:
+        file.write(b"edited")
+    assert fingerprint(tmp_path / "large.npy") not in (before, None)
+    assert time.process_time() - start < 5
+    unread: list[str] = []
+    monkeypatch.setattr(files, "MOST_FILES", 3)
+    for name in "abcde":
+        (tmp_path / name).write_text(name)
+    assert fingerprint(tmp_path, unread) is None
+    assert unread == ["more than 3 files or 4,294,967,296 bytes: its files do not count"]
+    named = {"data": f"{tmp_path}/a", "log_dir": f"{tmp_path}/a", "out": f"{tmp_path}/b", "root": str(tmp_path)}
+    environment = {"name": "gymnasium", "id": "Pendulum-v1", "kwargs": named}
+    spec = spec_from_dict({"environment": environment, "agent": "sac"})
+    assert list(spec.files()) == ["environment.kwargs.data"]
 
 
 def test_disorder_in_a_package_ends_nothing_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,6 +174,15 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
     assert provenance.command_line() == ["karolos", "run", *told]
 
 
+ORDINARY = (
+    "token: str | None = None; passes=2; token = find(x); token: Token | None = None; api_key=api_key; token == x",
+    "max_tokens: 100, pass: 2, tokens: [1, 2], token_dim=4, key_frames: a, pass_rate: b, author: c, keyboard=d",
+    "low_pass: butter, pad_token: <pad>, mask_token='[MASK]', auth: none, api_key: $MY_KEY",
+    "postgresql://me@host/db, ssh://git@host/x, http://localhost:8080/models/name@champion, a://b?x=y@z",
+    "sk-learn-based-policy and hf_model_for_something",
+)
+
+
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
@@ -157,8 +196,14 @@ def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPa
         ("Authorization: Bearer x", "Authorization: Bearer ***"),
         ("x = 'ghp_0123456789abcdef'", "x = '***'"),
         ("-----BEGIN PRIVATE KEY-----\nx\n", "***"),
-        ("token: str | None = None; passes=2; token = find(x)", "token: str | None = None; passes=2; token = find(x)"),
-        ("nothing", "nothing"),
+        ("login(password=b'x\\'y', --api-key x)", "login(password=***, --api-key ***"),
+        (
+            "os.environ['API_KEY'] = 'x'; authorization: token x",
+            "os.environ['API_KEY'] = ***; authorization: token ***",
+        ),
+        ("https://h/?sig=x&se=2", "https://h/?sig=***&se=2"),
+        ("TOKEN=x | tee log; pwd=1; password = str-ong", "TOKEN=*** | tee log; pwd=***; password = ***"),
+        *((text, text) for text in ORDINARY),
     ],
 )
 def test_redaction_hides_secrets_only(text: str, expected: str) -> None:

@@ -13,6 +13,7 @@ from karolos.report.tables import (
     Table,
     clean,
     count,
+    csv_text,
     duration,
     facts_table,
     runs_table,
@@ -123,3 +124,8 @@ def test_nested_spec_becomes_key_paths() -> None:
         ("empty", "{}"),
         ("on", "true"),
     ]
+
+
+def test_negative_numbers_stay_numbers_in_a_spreadsheet_and_formulas_do_not() -> None:
+    text = csv_text([{"a": [-1.5, 2.0], "b": [-3e-05], "c": "-x", "d": ["-1", "=2"], "e": -4.0}])
+    assert text == "a,b,c,d,e\n-1.5; 2.0,-3e-05,'-x,'-1; =2,-4.0\n"

@@ -117,7 +117,7 @@ DIALECTS: dict[str, tuple[str, bytes]] = {
     "count of a stream": ("stl", STL[:80] + b"\xff" * 4 + STL[84:]),
     "binary that begins like text": ("stl", b"solid" + STL[5:]),
     "OBJ with comments": ("obj", (OBJ + " # 1\n".join(FACES)).replace("\n #", " #").encode()),
-    "OBJ in broken lines": ("obj", (OBJ + "".join(FACES).replace("f ", "f \\\n")).encode()),
+    "OBJ in broken lines": ("obj", b"\xef\xbb\xbf" + (OBJ + "".join(FACES).replace("f ", "f \\\n")).encode()),
 }
 
 
@@ -269,7 +269,8 @@ def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(
 
 
 CLASSES = """
-<mujoco><compiler angle="degree"/><default><geom density="500"/><default class="leaf"><geom type="capsule" size=".01"/>
+<mujoco><compiler angle="radian"/><compiler angle="degree"/>
+<default><geom density="500"/><default class="leaf"><geom type="capsule" size=".01" euler="5 0 0"/>
   <joint range="0 90" damping=".5"/><default class="pin"><geom type="cylinder" size=".02 .05" mass=".3"/></default>
   <default class="seen"><geom type="sphere" size=".03" contype="0" conaffinity="0"/></default></default></default>
 <worldbody><body name="frame" euler="0 0 30"><geom type="box" size=".02 .02 .3"/>
@@ -302,12 +303,14 @@ def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path: Path
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (CLASSES.replace('class="pin" p', 'class="pen" p'), "xml:7: geom: there is no class 'pen'"),
+        (CLASSES.replace('class="pin" p', 'class="pen" p'), "xml:8: geom: there is no class 'pen'"),
         (URDF.replace('lower="0" upper=".2"', 'lower="0"'), "joint slide: limits must satisfy lower < upper"),
         (URDF.replace("<dynamics", '<mimic joint="x"/><dynamics'), "joint slide: it mimics x, which only a motor does"),
         (MJCF.replace("<option", "<tendon/><option"), "xml:2: tendon: <tendon> in <mujoco> is not known to karolos"),
         (MJCF.replace('mass=".5"', 'mass="1e999"'), "xml:5: inertial: its mass is '1e999'"),
         (MJCF.replace("range=", "ref="), "xml:4: joint slide: ref is not known"),
+        (MJCF.replace("range=", "limited='false' range="), "xml:4: joint slide: it needs the type hinge"),
+        (CLASSES.replace('angle="radian"', 'eulerseq="XYZ"'), "xml:2: compiler: eulerseq is not known to karolos"),
         (MJCF.replace('size=".01 .075 .04"', 'size=".01"'), "xml:3: geom: type 'box' with 1 sizes"),
         (MJCF.replace("<joint", "<freejoint/><joint"), "<freejoint> in <body> is not known"),
     ],

@@ -11,7 +11,9 @@ from karolos.core import Discrete, Environment, Field, Layout, Measure, Signatur
 from karolos.errors import KarolosError, PluginError
 
 OBSERVATION = Layout(tuple(Field(name, 1) for name in ("pid", "steps", "torch", "blas_threads", "main_imported")))
-FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT, QUIRKY, SLOW, INTERRUPT, END = np.arange(12, dtype=np.float32)
+FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT, QUIRKY, SLOW, INTERRUPT, END, NAN, HUGE, WORTHLESS = np.arange(
+    15, dtype=np.float32
+)
 
 
 class QuirkyError(KarolosError):
@@ -56,7 +58,8 @@ class Fake(Environment):
         self._seed = seed
         self._kept = []
         step = self._step()
-        return step._replace(observation=step.observation[:1]) if self._recipe == "short" else step
+        wrong = {"short": step.observation[:1], "nan": step.observation * np.nan}
+        return step._replace(observation=wrong.get(self._recipe, step.observation))
 
     def step(self, action: np.ndarray) -> Step:
         if self._recipe == "discrete" and np.asarray(action).dtype.kind != "i":
@@ -84,7 +87,10 @@ class Fake(Environment):
             raise KeyboardInterrupt
         elif trouble == PRINT:
             print("noise from an environment", flush=True)
-        return self._step()._replace(truncated=trouble == END)
+        found = self._step()
+        wrong = {NAN: {"observation": found.observation * np.nan}, WORTHLESS: {"reward": -np.inf}}
+        wrong[HUGE] = {"observation": found.observation.astype(float) + 1e300}  # which float32 cannot hold
+        return found._replace(truncated=trouble == END, **wrong.get(trouble, {}))
 
     def parameters(self) -> np.ndarray:
         return np.array([self._seed, self._seed / 2], np.float32)
