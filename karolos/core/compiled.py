@@ -54,9 +54,9 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
     def compile_once(signature: Any) -> Any:
         with ExitStack() as stack:
             if folder is not None and not (lock := _lock(folder)).held:
+                stack.callback(lock.release)  # first: a stop may break off anywhere
                 with suppress(MachineError):  # a file system without locks: whoever comes compiles
                     lock.acquire(WAIT_SECONDS)
-                stack.callback(lock.release)
             if announcement is not None:
                 stack.enter_context(event.install_listener("numba:compile", announcement))
             return compile_it(signature)

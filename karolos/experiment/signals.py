@@ -18,8 +18,6 @@ from .. import system
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
-
-
 HANG_SECONDS = 60.0
 """Time after the time limit from which whatever does not end is interrupted, e.g. an environment that hangs."""
 LOOK_SECONDS = 0.2
@@ -100,18 +98,27 @@ class StopRequest:
         if self.breaks or not self.handles_signals:
             yield
             return
-        left, interval = system.set_alarm(LOOK_SECONDS, LOOK_SECONDS)
-        started, self.breaks = time.monotonic(), True
+        self.breaks = True
+        self.set_alarm()
         try:
             yield
         finally:
             self.breaks = False
-            left = max(left - (time.monotonic() - started), LOOK_SECONDS) if left else 0.0
-            system.set_alarm(left, interval)
+            self.set_alarm()
 
-    def look(self) -> None:
-        """Break off what may be broken off, if a stop is requested."""
-        if self.breaks and self.requested:
+    def set_alarm(self) -> None:
+        """Have the main thread `look` while a block may be broken off, and when the time limit is over for long."""
+        if self.breaks:
+            system.set_alarm(LOOK_SECONDS, LOOK_SECONDS)
+        elif self.deadline is not None:
+            left = self.deadline + HANG_SECONDS - time.monotonic()
+            system.set_alarm(max(left, LOOK_SECONDS), HANG_SECONDS)
+        else:
+            system.set_alarm(0)
+
+    def look(self, frame: FrameType | None) -> None:
+        """Break off what may be broken off in this frame, if a stop is requested."""
+        if self.breaks and self.requested and _can_break(frame):
             self.breaks = False
             raise StopRequestedError
 
@@ -121,6 +128,20 @@ class StopRequest:
         if self.signal is not None:
             return 128 + self.signal
         return TIME_LIMIT_EXIT if self.time_is_up else 0
+
+
+def _can_break(frame: FrameType | None) -> bool:
+    """Whether an error can be raised in a frame: an import cannot be made again, and native code drops errors."""
+    while frame is not None:
+        code = frame.f_code
+        if (
+            code.co_filename.startswith("<frozen importlib")
+            or "llvmlite" in code.co_filename
+            or code.co_name == "__del__"
+        ):
+            return False
+        frame = frame.f_back
+    return True
 
 
 @contextmanager
@@ -142,15 +163,15 @@ def stop_on_signals(
         yield request
         return
 
-    def handle(number: int, _frame: FrameType | None) -> None:
+    def handle(number: int, frame: FrameType | None) -> None:
         if request.signal is None:
             request.signal = number
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
-        request.look()
+        request.look(frame)
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        request.look()
+    def interrupt(_number: int, frame: FrameType | None) -> None:
+        request.look(frame)
         if request.deadline is None or time.monotonic() < request.deadline + HANG_SECONDS:
             return  # it was only time for a look
         raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
@@ -159,8 +180,7 @@ def stop_on_signals(
     before = {number: signal.signal(number, handle) for number in kept}
     before[system.ALARM] = system.on_alarm(interrupt)
     request.handles_signals = True
-    if time_limit is not None:
-        system.set_alarm(time_limit + HANG_SECONDS, HANG_SECONDS)
+    request.set_alarm()
     try:
         yield request
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -109,10 +110,11 @@ class Experiment:
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
-            check: whether to raise an error once all runs have ended, if one failed or Ctrl-C stopped them.
+            check: whether to raise an error once all runs have ended, if one failed or a signal stopped them.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C stopped the runs, which have their checkpoints, and `check` is on.
+            KeyboardInterrupt, SystemExit: Ctrl-C or another signal stopped the runs, which have their checkpoints, and
+                `check` is on: a script does not go on with the next experiment.
             RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
                 is not "ignore".
             UsageError: the spec's parts do not fit together.
@@ -142,6 +144,8 @@ class Experiment:
         if check:
             if stop.signal == signal.SIGINT:
                 raise KeyboardInterrupt
+            if stop.signal is not None:
+                sys.exit(stop.exit_code)
             outcome.check()
         return outcome
 

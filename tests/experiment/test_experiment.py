@@ -170,9 +170,12 @@ def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_one_ctrl_c_ends_a_script_that_runs_several_experiments(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        Experiment(spec()).run(tmp_path, listener=press_ctrl_c)
+@pytest.mark.parametrize(("number", "end"), [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, SystemExit)])
+def test_one_signal_ends_a_script_that_runs_several_experiments(tmp_path, number, end):
+    with pytest.raises(end):
+        Experiment(spec()).run(
+            tmp_path, listener=lambda event: isinstance(event, RunTested) and signal.raise_signal(number)
+        )
     with Store(Store.default_url(tmp_path)) as store:
         assert [(run.state, run.steps) for run in store.runs()] == [("stopped", 100)]
 

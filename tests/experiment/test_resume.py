@@ -83,7 +83,7 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatc
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100)))
+    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100), check=False))
     there = provenance.versions()
     monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
     events: list[Any] = []
@@ -97,7 +97,7 @@ def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypa
 def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: str, tmp_path: Path) -> None:
     spec = BASE | CASES[case]
     whole = only(Experiment(spec).run(tmp_path / "whole"))
-    broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert broken.runs[0].state == "stopped"
     assert broken.exit_code == 143
     again = Experiment(spec).run(tmp_path / "broken", existing="resume")
@@ -121,7 +121,7 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engin
     }
     whole = only(Experiment(spec).run(tmp_path / "whole"))
     spec["orchestrator"] = {"processes": 2, "environments": 1}
-    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert_same_runs(whole, only(Experiment(spec).run(tmp_path / "broken", existing="resume")))
 
 
@@ -129,7 +129,7 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engin
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A runs folder with one run that was stopped at 200 of 240 steps."""
     runs = tmp_path_factory.mktemp("stopped")
-    Experiment(USUAL).run(runs, listener=stopping_at(200))
+    Experiment(USUAL).run(runs, listener=stopping_at(200), check=False)
     return runs
 
 
@@ -326,7 +326,7 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
         "agent": SAC,
         "testing": {"interval": 100, "episodes": 4, "final_episodes": 0},
     }
-    Experiment(spec).run(tmp_path, listener=stopping_at(100))
+    Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False)
     events: list[object] = []
     outcome = Experiment(spec).run(tmp_path, existing="resume", listener=events.append)
     assert outcome.runs[0].state == "finished"
@@ -336,7 +336,7 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
 
 def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path: Path) -> None:
     spec = USUAL | {"training": BASE["training"] | {"mode": "async"}}
-    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
+    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False))
     steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
     kept = [test.steps for test in stopped.tests()]
     stopped.add_test(replace(stopped.tests()[-1], steps=steps + 1))

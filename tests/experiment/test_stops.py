@@ -15,7 +15,7 @@ from support.states import assert_same_runs
 from karolos import checkpoint
 from karolos.experiment import announcer
 from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
-from karolos.experiment.signals import stop_on_signals
+from karolos.experiment.signals import StopRequestedError, stop_on_signals
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.store import Store
@@ -34,7 +34,7 @@ REACH: dict[str, Any] = {
 
 
 def run(runs: Path, **options: Any) -> RunFolder:
-    (summary,) = Experiment(REACH).run(runs, **options).runs
+    (summary,) = Experiment(REACH).run(runs, check=False, **options).runs
     return RunFolder.open(summary.folder)
 
 
@@ -75,7 +75,7 @@ def test_sighup_stops_like_sigterm(tmp_path: Path) -> None:
 
     before = signal.signal(signal.SIGHUP, signal.SIG_DFL)  # the tests may run under nohup, which ignores it
     try:
-        outcome = Experiment(REACH).run(tmp_path, listener=hang_up)
+        outcome = Experiment(REACH).run(tmp_path, listener=hang_up, check=False)
     finally:
         signal.signal(signal.SIGHUP, before)
     assert outcome.exit_code == 129
@@ -126,7 +126,9 @@ def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
 ) -> None:
     resumes = phase.rpartition(".")[2] in ("newest_snapshot", "restore")
     if resumes:
-        Experiment(REACH).run(tmp_path, listener=lambda event: isinstance(event, RunTested) and terminate())
+        Experiment(REACH).run(
+            tmp_path, check=False, listener=lambda event: isinstance(event, RunTested) and terminate()
+        )
 
     def long(*_: object, **__: object) -> None:
         begun.append(time.monotonic())
@@ -136,13 +138,31 @@ def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
     begun: list[float] = []
     with monkeypatch.context() as patch:
         patch.setattr(f"karolos.{phase}", long)
-        outcome = Experiment(REACH).run(tmp_path, existing="resume")
+        outcome = Experiment(REACH).run(tmp_path, existing="resume", check=False)
     assert time.monotonic() - begun[0] < 10
     assert outcome.exit_code == 143
     assert all(run.state == "stopped" for run in outcome.runs)
     resumed = run(tmp_path, existing="resume")
     assert resumed.state().state == "finished"
     assert [test.steps for test in resumed.tests()] == [60]
+
+
+@pytest.mark.parametrize(
+    ("file", "function"),
+    [("<frozen importlib._bootstrap>", "load"), ("/llvmlite/binding/executionengine.py", "notify"), ("own", "__del__")],
+)
+def test_a_stop_waits_for_what_an_error_would_damage_or_not_reach(file: str, function: str) -> None:
+    """An import that broke off cannot be made again in a notebook; errors in calls from native code are dropped."""
+    scope: dict[str, Any] = {"terminate": terminate, "done": []}
+    exec(compile(f"def {function}():\n    terminate()\n    done.append(1)", file, "exec"), scope)
+
+    def call() -> None:
+        scope[function]()
+        time.sleep(20)
+
+    with pytest.raises(StopRequestedError), stop_on_signals() as stop, stop.at_once():
+        call()
+    assert scope["done"]
 
 
 def terminate() -> None:
