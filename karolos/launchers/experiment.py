@@ -171,16 +171,19 @@ def resume_run(
         RunError: another process is running it, or no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
-    if overrides:
-        folder = continue_from(folder, continued_spec(folder, overrides), listener or (lambda _: None))
-    if folder.state().state == "finished":
+    if not overrides and folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
-    spec = spec_from_dict(folder.spec())
+    spec = continued_spec(folder, overrides) if overrides else spec_from_dict(folder.spec())
     prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
+    listener = listener or (lambda _: None)
     with stop_on_signals(time_limit=time_limit) as stop:
         with suppress(StopRequestedError), stop.at_once():
             check_parts(spec)
-        summary = folder.summary() if stop.requested else _execute(folder, url, listener or (lambda _: None), stop)
+        if stop.requested:
+            return Outcome(() if overrides else (folder.summary(),), 1, stop.exit_code)
+        if overrides:
+            folder = continue_from(folder, spec, listener)
+        summary = _execute(folder, url, listener, stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 

@@ -9,6 +9,7 @@ from subprocess import PIPE, Popen
 
 import pytest
 
+from karolos import system
 from karolos.core import compiled
 
 CALLED = "from karolos.core.compiled import compiled\n@compiled\ndef one(): return {}\n"
@@ -102,7 +103,8 @@ def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp
 )
 def test_caches_lie_where_the_platform_keeps_them(tmp_path, monkeypatch, platform, variables, folder):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "platform", platform)
+    monkeypatch.setattr(system, "WINDOWS", platform == "win32")
+    monkeypatch.setattr(system, "MACOS", platform == "darwin")
     monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "KAROLOS_CACHE"):

@@ -94,7 +94,9 @@ def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = BASE | CASES[case]
     whole = only(Experiment(spec).run(tmp_path / "whole"))
     broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
@@ -359,7 +361,9 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["sac, priority, hindsight", "ppo"])
-def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = BASE | CASES[case]
     longer = spec | {"training": spec["training"] | {"steps": 400}}
     whole, short = only(Experiment(longer).run(tmp_path / "whole")), only(Experiment(spec).run(tmp_path))
@@ -377,3 +381,12 @@ def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case: str, tmp_p
     for override, words in (("agent.hidden=[8]", "settings that it began with"), ("training.steps=240", "has taken")):
         with pytest.raises(UsageError, match=words):
             resume_run(short, url, [override])
+
+    def refuse(_: Spec) -> None:
+        raise UsageError("no device")
+
+    there = list(tmp_path.iterdir())
+    monkeypatch.setattr("karolos.launchers.experiment.check_parts", refuse)
+    with pytest.raises(UsageError, match="no device"):
+        resume_run(short, url, ["training.steps=500"])
+    assert list(tmp_path.iterdir()) == there, "what is refused leaves no run"
