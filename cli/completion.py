@@ -13,15 +13,17 @@ import typer
 import karolos
 
 PACKAGE = Path(karolos.__file__).parent
+SPECS = next(path for above in (PACKAGE, PACKAGE.parent) if (path := above / "specs").is_dir())
+"""As `karolos.specification.files` finds them, without importing it: Tab does not wait."""
 PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "launcher")
 
 
 def complete_spec(incomplete: str) -> list[str]:
     """Specs that ship, and YAML files here and one folder below."""
-    shipped = (path.relative_to(PACKAGE / "specs").with_suffix("") for path in PACKAGE.glob("specs/**/*.yaml"))
+    shipped = (path.relative_to(SPECS).with_suffix("").as_posix() for path in SPECS.glob("**/*.yaml"))
     start = glob.escape(incomplete)
     files = (name for deep in ("*", "*/*") for end in ("yaml", "yml") for name in glob.glob(f"{start}{deep}.{end}"))
-    return _beginning(incomplete, [*map(str, shipped), *files])
+    return _beginning(incomplete, [*shipped, *files])
 
 
 def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:

@@ -204,36 +204,24 @@ def on_alarm(handler: Callable[[int, FrameType | None], None]) -> Any:
     return before
 
 
-def set_alarm(first: float, again: float = 0.0) -> None:
-    """Raise ALARM `first` seconds from now and then every `again` seconds, instead of the alarm before; 0: not at all.
-
-    On Windows it is raised when a call of the system is over.
-    """
+def set_alarm(seconds: float) -> None:
+    """Raise ALARM every so many seconds from now on; 0: no more. On Windows when a call of the system is over."""
     if hasattr(signal, "setitimer") and not WINDOWS:
-        signal.setitimer(signal.ITIMER_REAL, first, again)
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
         return
     while _alarms:
-        _alarms.pop().over.set()
-    if first:
-        _alarms.append(_Alarm(first, again))
+        _alarms.pop().set()
+    if seconds:
+        _alarms.append(threading.Event())
+        threading.Thread(target=_raise_alarm, args=(seconds, _alarms[-1]), daemon=True).start()
 
 
-class _Alarm:
-    """An alarm by a thread."""
-
-    def __init__(self, first: float, again: float) -> None:
-        self._due, self._again, self.over = time.monotonic() + first, again, threading.Event()
-        threading.Thread(target=self._wait, daemon=True).start()
-
-    def _wait(self) -> None:
-        while not self.over.wait(max(self._due - time.monotonic(), 0.0)):
-            _thread.interrupt_main(ALARM)
-            if not self._again:
-                return
-            self._due = time.monotonic() + self._again
+def _raise_alarm(seconds: float, over: threading.Event) -> None:
+    while not over.wait(seconds):
+        _thread.interrupt_main(ALARM)
 
 
-_alarms: list[_Alarm] = []
+_alarms: list[threading.Event] = []
 
 
 def user_cache() -> Path:

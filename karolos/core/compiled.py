@@ -49,7 +49,8 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
         dispatcher._cache = _Cache(function, told)  # numba's own setting of a place holds for all libraries
     except (OSError, RuntimeError):
         _use_temporary_folder()
-        dispatcher._cache = _Cache(function, told)
+        with suppress(RuntimeError):  # nothing can be written anywhere
+            dispatcher._cache = _Cache(function, told)
     compile_it = dispatcher.compile
 
     def compile_once(signature: Any) -> Any:
@@ -80,6 +81,7 @@ def cache_folder() -> Path:
     return folder
 
 
+@cache
 def _use_temporary_folder() -> None:
     """Keep compiled functions in a temporary folder, for this process and those that it starts, and say so."""
     try:
@@ -87,8 +89,10 @@ def _use_temporary_folder() -> None:
     except RuntimeError:
         what = "no home folder is known"
     print(f"{what}: each command compiles again; set {VARIABLE} to a folder that can be written", file=sys.stderr)
-    os.environ[VARIABLE] = folder = tempfile.mkdtemp(prefix="karolos-")
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    os.environ[VARIABLE] = os.devnull
+    with suppress(OSError):
+        os.environ[VARIABLE] = folder = tempfile.mkdtemp(prefix="karolos-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
     cache_folder.cache_clear()
 
 

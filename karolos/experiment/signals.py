@@ -5,6 +5,7 @@ The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at on
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
@@ -108,13 +109,7 @@ class StopRequest:
 
     def set_alarm(self) -> None:
         """Have the main thread `look` while a block may be broken off, and when the time limit is over for long."""
-        if self.breaks:
-            system.set_alarm(LOOK_SECONDS, LOOK_SECONDS)
-        elif self.deadline is not None:
-            left = self.deadline + HANG_SECONDS - time.monotonic()
-            system.set_alarm(max(left, LOOK_SECONDS), HANG_SECONDS)
-        else:
-            system.set_alarm(0)
+        system.set_alarm(LOOK_SECONDS if self.breaks else HANG_SECONDS / 10 if self.deadline is not None else 0.0)
 
     def look(self, frame: FrameType | None) -> None:
         """Break off what may be broken off in this frame, if a stop is requested."""
@@ -163,6 +158,8 @@ def stop_on_signals(
         yield request
         return
 
+    hangs_at = math.inf if request.deadline is None else request.deadline + HANG_SECONDS
+
     def handle(number: int, frame: FrameType | None) -> None:
         if request.signal is None:
             request.signal = number
@@ -171,10 +168,11 @@ def stop_on_signals(
         request.look(frame)
 
     def interrupt(_number: int, frame: FrameType | None) -> None:
+        nonlocal hangs_at
         request.look(frame)
-        if request.deadline is None or time.monotonic() < request.deadline + HANG_SECONDS:
-            return  # it was only time for a look
-        raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
+        if time.monotonic() >= hangs_at:
+            hangs_at += HANG_SECONDS
+            raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
     kept = [one for one in system.STOP_SIGNALS if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in kept}
@@ -185,6 +183,6 @@ def stop_on_signals(
         yield request
     finally:
         request.handles_signals = False
-        system.set_alarm(0)
+        system.set_alarm(0.0)
         for number, handler in before.items():
             signal.signal(number, handler)

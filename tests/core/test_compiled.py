@@ -86,6 +86,7 @@ def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp
     finally:
         monkeypatch.undo()
         compiled.cache_folder.cache_clear()
+        compiled._use_temporary_folder.cache_clear()
 
 
 @pytest.mark.parametrize(
