@@ -14,7 +14,6 @@ import karolos
 
 PACKAGE = Path(karolos.__file__).parent
 SPECS = next(path for above in (PACKAGE, PACKAGE.parent) if (path := above / "specs").is_dir())
-"""As `karolos.specification.files` finds them, without importing it: Tab does not wait."""
 PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "launcher")
 
 

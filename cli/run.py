@@ -141,9 +141,7 @@ def resume(
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:
     """Print the runs and end with the outcome's exit code."""
     if not outcome.runs:
-        from karolos.experiment.signals import TIME_LIMIT_EXIT
-
-        say(f"{'the time limit is over' if outcome.exit_code == TIME_LIMIT_EXIT else 'interrupted'} before a run began")
+        say("stopped before a run began")
     if json:
         print_rows([summary.row() for summary in outcome.runs], json=True)
     elif outcome.runs and not quiet:

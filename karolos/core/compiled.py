@@ -30,11 +30,7 @@ VARIABLE = "KAROLOS_CACHE"
 WAIT_SECONDS = 120.0
 """How long a process waits for another one that compiles, before it compiles, too."""
 
-OPTIONS: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-}  # the last two shorten what is compiled
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
 
 def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
@@ -137,7 +133,8 @@ class _Cache(FunctionCache):
         try:
             found = super().load_overload(sig, target_context)
         except Exception:  # a damaged file, of any kind
-            self.flush()
+            with suppress(OSError):
+                self.flush()
         if found is None:
             self._began = time.monotonic()
             self._say(f"compiling the physics (kept in {cache_folder()}) ...")
@@ -149,10 +146,6 @@ class _Cache(FunctionCache):
             super().save_overload(sig, data)
         except OSError as error:  # a full disk
             self._say(f"the next command compiles again: {cache_folder()} cannot be written: {error.strerror}")
-
-    def flush(self) -> None:
-        with suppress(OSError):
-            super().flush()
 
     def _say(self, line: str) -> None:
         if self._told:

@@ -9,6 +9,7 @@ import math
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -99,16 +100,15 @@ class StopRequest:
         if self.breaks or not self.handles_signals:
             yield
             return
-        self.breaks = True
-        self.set_alarm()
+        self.set_breaks(True)
         try:
             yield
         finally:
-            self.breaks = False
-            self.set_alarm()
+            self.set_breaks(False)
 
-    def set_alarm(self) -> None:
+    def set_breaks(self, breaks: bool) -> None:
         """Have the main thread `look` while a block may be broken off, and when the time limit is over for long."""
+        self.breaks = breaks
         system.set_alarm(LOOK_SECONDS if self.breaks else HANG_SECONDS / 10 if self.deadline is not None else 0.0)
 
     def look(self, frame: FrameType | None) -> None:
@@ -127,16 +127,9 @@ class StopRequest:
 
 def _can_break(frame: FrameType | None) -> bool:
     """Whether an error can be raised in a frame: an import cannot be made again, and native code drops errors."""
-    while frame is not None:
-        code = frame.f_code
-        if (
-            code.co_filename.startswith("<frozen importlib")
-            or "llvmlite" in code.co_filename
-            or code.co_name == "__del__"
-        ):
-            return False
-        frame = frame.f_back
-    return True
+    code = [one.f_code for one, _ in traceback.walk_stack(frame)]
+    files = " ".join(one.co_filename for one in code)
+    return not ("<frozen importlib" in files or "llvmlite" in files or "__del__" in [one.co_name for one in code])
 
 
 @contextmanager
@@ -178,7 +171,7 @@ def stop_on_signals(
     before = {number: signal.signal(number, handle) for number in kept}
     before[system.ALARM] = system.on_alarm(interrupt)
     request.handles_signals = True
-    request.set_alarm()
+    request.set_breaks(False)
     try:
         yield request
     finally:
