@@ -66,8 +66,7 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_tempor
 
 def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp_path, monkeypatch, capsys):
     """Of a cache that several users share, some folders may be another user's."""
-    ensure, kept = compiled._Locator.ensure_cache_path, tmp_path / "kept"
-    refused = [kept]
+    ensure, refused = compiled._Locator.ensure_cache_path, [tmp_path]
 
     def write(locator):
         if any(folder in Path(locator.get_cache_path()).parents for folder in refused):
@@ -75,18 +74,17 @@ def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp
         ensure(locator)
 
     monkeypatch.setattr(compiled._Locator, "ensure_cache_path", write)
-    monkeypatch.setenv("KAROLOS_CACHE", str(kept))
+    monkeypatch.setenv("KAROLOS_CACHE", str(tmp_path))
     compiled.cache_folder.cache_clear()
-    try:
-        made = compiled.compiled(lambda: 1, told=True)
-        assert f"{kept} cannot be written: each command compiles again" in capsys.readouterr().err
-        refused.append(compiled.cache_folder())
-        assert made() == 1
-        assert "cannot be written: no space" in capsys.readouterr().err.splitlines()[-1]
-    finally:
-        monkeypatch.undo()
-        compiled.cache_folder.cache_clear()
-        compiled._use_temporary_folder.cache_clear()
+    made = compiled.compiled(lambda: 1, told=True)
+    refused.append(compiled.cache_folder())
+    assert made() == 1
+    monkeypatch.undo()
+    compiled.cache_folder.cache_clear()
+    compiled._use_temporary_folder.cache_clear()
+    first, *_, last = capsys.readouterr().err.splitlines()
+    assert f"{tmp_path} cannot be written: each command compiles again" in first
+    assert "cannot be written: no space" in last
 
 
 @pytest.mark.parametrize(
