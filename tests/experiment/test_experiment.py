@@ -174,8 +174,7 @@ def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
     [(signal.SIGINT, KeyboardInterrupt, None), (signal.SIGTERM, SystemExit, "143"), (signal.SIGHUP, SystemExit, "129")],
 )
 def test_one_signal_ends_a_script_that_runs_several_experiments(tmp_path, number, end, code):
-    usual = signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL
-    before = signal.signal(number, usual)  # the tests may run under nohup, which ignores it
+    before = signal.signal(number, signal.default_int_handler)  # the tests may run under nohup, which ignores it
     try:
         with pytest.raises(end, match=code):
             Experiment(spec()).run(tmp_path, listener=press(number))
