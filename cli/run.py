@@ -29,7 +29,7 @@ from .arguments import (
     seconds,
     with_launcher,
 )
-from .output import end_if_stopped, print_rows, print_table, say
+from .output import print_rows, print_table, say
 
 if TYPE_CHECKING:
     from karolos.launchers.experiment import Outcome
@@ -140,6 +140,8 @@ def resume(
 
 def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn:
     """Print the runs and end with the outcome's exit code."""
+    if not outcome.runs:
+        say("stopped before a run began")
     if json:
         print_rows([summary.row() for summary in outcome.runs], json=True)
     elif outcome.runs and not quiet:
@@ -152,6 +154,4 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:
             say(f"{run} is stopped: `karolos resume {run}` continues it")
-    elif not outcome.runs:
-        end_if_stopped("the experiment", outcome.stop_code)
     raise typer.Exit(outcome.exit_code)

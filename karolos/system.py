@@ -202,38 +202,24 @@ def on_alarm(handler: Callable[[int, FrameType | None], None]) -> Any:
     return before
 
 
-def set_alarm(first: float, again: float = 0.0) -> tuple[float, float]:
-    """Raise ALARM `first` seconds from now and then every `again` seconds, instead of the alarm before; 0: not at all.
-
-    Returns the same two numbers of the alarm before. On Windows it is raised when a call of the system is over.
-    """
-    global _alarm
+def set_alarm(seconds: float) -> None:
+    """Raise ALARM every so many seconds from now on; 0: no more. On Windows when a call of the system is over."""
     if hasattr(signal, "setitimer") and not WINDOWS:
-        return signal.setitimer(signal.ITIMER_REAL, first, again)
-    before, _alarm = _alarm, _Alarm(first, again) if first else None
-    return before.end() if before is not None else (0.0, 0.0)
+        signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
+        return
+    while _alarms:
+        _alarms.pop().set()
+    if seconds:
+        _alarms.append(threading.Event())
+        threading.Thread(target=_raise_alarm, args=(seconds, _alarms[-1]), daemon=True).start()
 
 
-class _Alarm:
-    """An alarm by a thread."""
-
-    def __init__(self, first: float, again: float) -> None:
-        self._due, self._again, self._over = time.monotonic() + first, again, threading.Event()
-        threading.Thread(target=self._wait, daemon=True).start()
-
-    def _wait(self) -> None:
-        while not self._over.wait(max(self._due - time.monotonic(), 0.0)):
-            _thread.interrupt_main(ALARM)
-            if not self._again:
-                return
-            self._due = time.monotonic() + self._again
-
-    def end(self) -> tuple[float, float]:
-        self._over.set()
-        return max(self._due - time.monotonic(), 1e-3), self._again
+def _raise_alarm(seconds: float, over: threading.Event) -> None:
+    while not over.wait(seconds):
+        _thread.interrupt_main(ALARM)
 
 
-_alarm: _Alarm | None = None
+_alarms: list[threading.Event] = []
 
 
 def user_cache() -> Path:

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Callable
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,6 @@ from typing import Any
 import numba
 from llvmlite import binding
 from numba import njit
-from numba.core import event
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 
@@ -27,15 +26,11 @@ from ..files import FileLock
 from ..system import user_cache
 
 VARIABLE = "KAROLOS_CACHE"
-"""Environment variable with the folder of compiled functions. Empty: nothing is kept."""
+"""Environment variable with the folder of compiled functions."""
 WAIT_SECONDS = 120.0
 """How long a process waits for another one that compiles, before it compiles, too."""
 
-OPTIONS: Any = {
-    "nogil": True,
-    "error_model": "numpy",
-    "no_cfunc_wrapper": True,
-}  # the last two shorten what is compiled
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
 
 def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
@@ -46,50 +41,55 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
         told: whether lines on stderr say that it is compiled, and how long that took.
     """
     dispatcher: Any = njit(**OPTIONS)(function)
-    folder, compile_it = cache_folder(), dispatcher.compile
-    if folder is not None:
-        dispatcher._cache = _Cache(function)  # numba's own setting of a place holds for all libraries
-    announcement = _Announcement(dispatcher, folder) if told else None
+    try:
+        dispatcher._cache = _Cache(function, told)  # numba's own setting of a place holds for all libraries
+    except (OSError, RuntimeError):
+        _use_temporary_folder()
+        with suppress(RuntimeError):  # nothing can be written anywhere
+            dispatcher._cache = _Cache(function, told)
+    compile_it = dispatcher.compile
 
     def compile_once(signature: Any) -> Any:
-        with ExitStack() as stack:
-            if folder is not None and not (lock := _lock(folder)).held:
-                with suppress(MachineError):  # a file system without locks: whoever comes compiles
-                    lock.acquire(WAIT_SECONDS)
-                stack.callback(lock.release)
-            if announcement is not None:
-                stack.enter_context(event.install_listener("numba:compile", announcement))
+        lock = _lock(cache_folder())
+        if lock.held:  # by the function that calls this one
             return compile_it(signature)
+        try:
+            with suppress(MachineError):  # a file system without locks: whoever comes compiles
+                lock.acquire(WAIT_SECONDS)
+            return compile_it(signature)
+        finally:
+            lock.release()
 
     dispatcher.compile = compile_once
     return dispatcher
 
 
 @cache
-def cache_folder() -> Path | None:
-    """Where compiled functions are kept: in `KAROLOS_CACHE`, or in the user's cache folder. None: nowhere.
+def cache_folder() -> Path:
+    """Where compiled functions are kept: in `KAROLOS_CACHE`, or in the user's cache folder.
 
-    If it cannot be written, a line says so, and this process and those that it starts use a temporary folder.
+    Raises RuntimeError where no home is known.
     """
     named = os.environ.get(VARIABLE)
-    if named == "":
-        return None
-    folder: Path | None = None
-    try:
-        folder = Path(named).expanduser().absolute() if named else user_cache() / "karolos"
+    folder = Path(named).expanduser().absolute() if named else user_cache() / "karolos"
+    with suppress(OSError):  # numba tries to write, too
         folder.mkdir(0o700, parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=folder).close()
-        return folder
-    except (OSError, RuntimeError):  # the latter where nobody knows a home
-        what = "no home folder is known" if folder is None else f"{folder} cannot be written"
-        print(f"{what}: each command compiles again; set {VARIABLE} to a folder that can be written", file=sys.stderr)
+    return folder
+
+
+@cache
+def _use_temporary_folder() -> None:
+    """Keep compiled functions in a temporary folder, for this process and those that it starts, and say so."""
     try:
-        spare = tempfile.mkdtemp(prefix="karolos-")
-        atexit.register(shutil.rmtree, spare, ignore_errors=True)
-    except OSError:
-        spare = ""
-    os.environ[VARIABLE] = spare
-    return Path(spare) if spare else None
+        what = f"{cache_folder()} cannot be written"
+    except RuntimeError:
+        what = "no home folder is known"
+    print(f"{what}: each command compiles again; set {VARIABLE} to a folder that can be written", file=sys.stderr)
+    os.environ[VARIABLE] = os.devnull
+    with suppress(OSError):
+        os.environ[VARIABLE] = folder = tempfile.mkdtemp(prefix="karolos-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    cache_folder.cache_clear()
 
 
 @cache
@@ -114,7 +114,7 @@ class _Locator(UserWideCacheLocator):
         files = sorted({_digest(one.__code__.co_filename) for one in (py_func, *called)})
         machine = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
         key = hashlib.sha256(repr((numba.__version__, machine, files)).encode()).hexdigest()[:16]
-        self._cache_path = str((cache_folder() or Path()) / key)
+        self._cache_path = str(cache_folder() / key)
 
 
 class _Implementation(CompileResultCacheImpl):
@@ -124,34 +124,29 @@ class _Implementation(CompileResultCacheImpl):
 class _Cache(FunctionCache):
     _impl_class = _Implementation
 
+    def __init__(self, function: Any, told: bool) -> None:
+        super().__init__(function)
+        self._told, self._began = told, 0.0
+
     def load_overload(self, sig: Any, target_context: Any) -> Any:
+        found = None
         try:
-            return super().load_overload(sig, target_context)
+            found = super().load_overload(sig, target_context)
         except Exception:  # a damaged file, of any kind
-            self.flush()
-            return None
+            with suppress(OSError):
+                self.flush()
+        if found is None:
+            self._began = time.monotonic()
+            self._say(f"compiling the physics (kept in {cache_folder()}) ...")
+        return found
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        with suppress(OSError):  # a full disk: the next process compiles again
+        self._say(f"compiled in {time.monotonic() - self._began:.1f} s")
+        try:
             super().save_overload(sig, data)
+        except OSError as error:  # a full disk
+            self._say(f"the next command compiles again: {cache_folder()} cannot be written: {error.strerror}")
 
-    def flush(self) -> None:
-        with suppress(OSError):
-            super().flush()
-
-
-class _Announcement(event.Listener):
-    """Says that a function is compiled, which may take some time, and how long it took."""
-
-    def __init__(self, dispatcher: Any, folder: Path | None) -> None:
-        self._dispatcher, self._folder, self._began = dispatcher, folder, 0.0
-
-    def on_start(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._dispatcher:
-            self._began = time.monotonic()
-            kept = f" (kept in {self._folder})" if self._folder else ""
-            print(f"compiling the physics{kept} ...", file=sys.stderr, flush=True)
-
-    def on_end(self, event: Any) -> None:
-        if event.data["dispatcher"] is self._dispatcher:
-            print(f"compiled in {time.monotonic() - self._began:.1f} s", file=sys.stderr, flush=True)
+    def _say(self, line: str) -> None:
+        if self._told:
+            print(line, file=sys.stderr, flush=True)

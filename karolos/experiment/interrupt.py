@@ -2,18 +2,17 @@
 
 import os
 import signal
+import threading
 
 
 class BriefInterrupt:
     """While it is entered, Ctrl-C is one line and exit code 130: an import could turn it into another error."""
 
     def __enter__(self) -> None:
-        self._handles = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it
+        usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it
+        self._handles = usual and threading.current_thread() is threading.main_thread()
         if self._handles:
-            try:
-                signal.signal(signal.SIGINT, _end)
-            except ValueError:  # not in the main thread
-                self._handles = False
+            signal.signal(signal.SIGINT, _end)
 
     def __exit__(self, *_: object) -> None:
         if self._handles:

@@ -5,9 +5,11 @@ The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at on
 
 from __future__ import annotations
 
+import math
 import signal
 import threading
 import time
+import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
@@ -18,8 +20,6 @@ from .. import system
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
-
-
 HANG_SECONDS = 60.0
 """Time after the time limit from which whatever does not end is interrupted, e.g. an environment that hangs."""
 LOOK_SECONDS = 0.2
@@ -100,18 +100,20 @@ class StopRequest:
         if self.breaks or not self.handles_signals:
             yield
             return
-        left, interval = system.set_alarm(LOOK_SECONDS, LOOK_SECONDS)
-        started, self.breaks = time.monotonic(), True
+        self.set_breaks(True)
         try:
             yield
         finally:
-            self.breaks = False
-            left = max(left - (time.monotonic() - started), LOOK_SECONDS) if left else 0.0
-            system.set_alarm(left, interval)
+            self.set_breaks(False)
 
-    def look(self) -> None:
-        """Break off what may be broken off, if a stop is requested."""
-        if self.breaks and self.requested:
+    def set_breaks(self, breaks: bool) -> None:
+        """Have the main thread `look` while a block may be broken off, and when the time limit is over for long."""
+        self.breaks = breaks
+        system.set_alarm(LOOK_SECONDS if self.breaks else HANG_SECONDS / 10 if self.deadline is not None else 0.0)
+
+    def look(self, frame: FrameType | None) -> None:
+        """Break off what may be broken off in this frame, if a stop is requested."""
+        if self.breaks and self.requested and _can_break(frame):
             self.breaks = False
             raise StopRequestedError
 
@@ -121,6 +123,13 @@ class StopRequest:
         if self.signal is not None:
             return 128 + self.signal
         return TIME_LIMIT_EXIT if self.time_is_up else 0
+
+
+def _can_break(frame: FrameType | None) -> bool:
+    """Whether an error can be raised in a frame: an import cannot be made again, and native code drops errors."""
+    code = [one.f_code for one, _ in traceback.walk_stack(frame)]
+    files = " ".join(one.co_filename for one in code)
+    return not ("<frozen importlib" in files or "llvmlite" in files or "__del__" in [one.co_name for one in code])
 
 
 @contextmanager
@@ -142,29 +151,31 @@ def stop_on_signals(
         yield request
         return
 
-    def handle(number: int, _frame: FrameType | None) -> None:
+    hangs_at = math.inf if request.deadline is None else request.deadline + HANG_SECONDS
+
+    def handle(number: int, frame: FrameType | None) -> None:
         if request.signal is None:
             request.signal = number
         elif number == signal.SIGINT:
             raise KeyboardInterrupt
-        request.look()
+        request.look(frame)
 
-    def interrupt(_number: int, _frame: FrameType | None) -> None:
-        request.look()
-        if request.deadline is None or time.monotonic() < request.deadline + HANG_SECONDS:
-            return  # it was only time for a look
-        raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
+    def interrupt(_number: int, frame: FrameType | None) -> None:
+        nonlocal hangs_at
+        request.look(frame)
+        if time.monotonic() >= hangs_at:
+            hangs_at += HANG_SECONDS
+            raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
 
     kept = [one for one in system.STOP_SIGNALS if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in kept}
     before[system.ALARM] = system.on_alarm(interrupt)
     request.handles_signals = True
-    if time_limit is not None:
-        system.set_alarm(time_limit + HANG_SECONDS, HANG_SECONDS)
+    request.set_breaks(False)
     try:
         yield request
     finally:
         request.handles_signals = False
-        system.set_alarm(0)
+        system.set_alarm(0.0)
         for number, handler in before.items():
             signal.signal(number, handler)

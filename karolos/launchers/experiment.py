@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import signal
+import sys
 from collections.abc import Mapping, Sequence
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, replace
@@ -109,10 +110,11 @@ class Experiment:
             time_limit: seconds after which to stop.
             listener: is called with every RunEvent.
             progress: without `listener`: whether to print a line on stderr for each start, test, warning and end.
-            check: whether to raise an error once all runs have ended, if one failed or Ctrl-C stopped them.
+            check: whether to raise an error once all runs have ended, if one failed or a signal stopped them.
 
         Raises:
-            KeyboardInterrupt: Ctrl-C stopped the runs, which have their checkpoints, and `check` is on.
+            KeyboardInterrupt, SystemExit: Ctrl-C or another signal stopped the runs, which have their checkpoints, and
+                `check` is on: a script does not go on with the next experiment.
             RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
                 is not "ignore".
             UsageError: the spec's parts do not fit together.
@@ -142,6 +144,8 @@ class Experiment:
         if check:
             if stop.signal == signal.SIGINT:
                 raise KeyboardInterrupt
+            if stop.signal is not None:
+                sys.exit(stop.exit_code)
             outcome.check()
         return outcome
 
@@ -167,16 +171,19 @@ def resume_run(
         RunError: another process is running it, or no checkpoint can be used.
         SpecError: its resolved spec is damaged, or of another version.
     """
-    if overrides:
-        folder = continue_from(folder, continued_spec(folder, overrides), listener or (lambda _: None))
-    if folder.state().state == "finished":
+    if not overrides and folder.state().state == "finished":
         return Outcome((folder.summary(),), 1)
-    spec = spec_from_dict(folder.spec())
+    spec = continued_spec(folder, overrides) if overrides else spec_from_dict(folder.spec())
     prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
+    listener = listener or (lambda _: None)
     with stop_on_signals(time_limit=time_limit) as stop:
         with suppress(StopRequestedError), stop.at_once():
             check_parts(spec)
-        summary = folder.summary() if stop.requested else _execute(folder, url, listener or (lambda _: None), stop)
+        if stop.requested:
+            return Outcome(() if overrides else (folder.summary(),), 1, stop.exit_code)
+        if overrides:
+            folder = continue_from(folder, spec, listener)
+        summary = _execute(folder, url, listener, stop)
     return Outcome((summary,), 1, stop.exit_code)
 
 

@@ -70,5 +70,4 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
 def _is_own(recipe: Recipe) -> bool:
     """Whether nobody else's code is run."""
     parts = filter(None, (recipe.environment, recipe.robot, recipe.task))
-    own = all(find(part.kind, part.name).distribution == "karolos" for part in parts)
-    return own and recipe.environment.name != "gymnasium"
+    return all(find(one.kind, one.name).distribution == "karolos" and one.name != "gymnasium" for one in parts)

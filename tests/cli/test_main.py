@@ -36,7 +36,7 @@ def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing()
 
 @pytest.mark.parametrize(
     ("trouble", "code", "said"),
-    [("init:hang", 124, "the experiment is stopped"), ("init:interrupt", 130, "interrupted\n")],
+    [("init:hang", 124, "stopped before a run began"), ("init:interrupt", 130, "interrupted\n")],
 )
 def test_an_environment_that_hangs_past_the_time_limit_or_interrupts_ends_the_command_and_says_so(
     trouble: str, code: int, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any

@@ -64,6 +64,28 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_tempor
     assert list((tmp_path / "temporary").glob("karolos-*")) == []
 
 
+def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp_path, monkeypatch, capsys):
+    ensure, refused = compiled._Locator.ensure_cache_path, [tmp_path]
+
+    def write(locator):
+        if any(folder in Path(locator.get_cache_path()).parents for folder in refused):
+            raise OSError(28, "no space")
+        ensure(locator)
+
+    monkeypatch.setattr(compiled._Locator, "ensure_cache_path", write)
+    monkeypatch.setenv("KAROLOS_CACHE", str(tmp_path))
+    compiled.cache_folder.cache_clear()
+    made = compiled.compiled(lambda: 1, told=True)
+    refused.append(compiled.cache_folder())
+    assert made() == 1
+    monkeypatch.undo()
+    compiled.cache_folder.cache_clear()
+    compiled._use_temporary_folder.cache_clear()
+    first, *_, last = capsys.readouterr().err.splitlines()
+    assert f"{tmp_path} cannot be written: each command compiles again" in first
+    assert "cannot be written: no space" in last
+
+
 @pytest.mark.parametrize(
     ("platform", "variables", "folder"),
     [
@@ -74,7 +96,6 @@ def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_tempor
         ("win32", {"LOCALAPPDATA": "/local"}, "/local/karolos"),
         ("win32", {}, "home/AppData/Local/karolos"),
         ("linux", {"KAROLOS_CACHE": "mine"}, "mine"),
-        ("linux", {"KAROLOS_CACHE": ""}, None),
     ],
 )
 def test_caches_lie_where_the_platform_keeps_them(tmp_path, monkeypatch, platform, variables, folder):
@@ -82,10 +103,9 @@ def test_caches_lie_where_the_platform_keeps_them(tmp_path, monkeypatch, platfor
     monkeypatch.setattr(system, "MACOS", platform == "darwin")
     monkeypatch.setattr(system, "WINDOWS", platform == "win32")
     monkeypatch.setattr(Path, "mkdir", lambda *_, **__: None)
-    monkeypatch.setattr(compiled.tempfile, "TemporaryFile", lambda dir: open(os.devnull))  # noqa: SIM115
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     for name in ("XDG_CACHE_HOME", "LOCALAPPDATA", "KAROLOS_CACHE"):
         monkeypatch.delenv(name, raising=False)
     for name, value in variables.items():
         monkeypatch.setenv(name, value)
-    assert compiled.cache_folder.__wrapped__() == (None if folder is None else tmp_path / folder)
+    assert compiled.cache_folder.__wrapped__() == tmp_path / folder

@@ -149,13 +149,12 @@ def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, t
     assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
 
 
-def press_ctrl_c(event):
-    if isinstance(event, RunTested):
-        signal.raise_signal(signal.SIGINT)
+def press(number):
+    return lambda event: isinstance(event, RunTested) and signal.raise_signal(number)
 
 
 def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
-    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press_ctrl_c, check=False)
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press(signal.SIGINT), check=False)
     (run,) = outcome.runs
     assert (run.state, run.steps, outcome.exit_code) == ("stopped", 100, 130)
     (folder,) = folders(outcome)
@@ -163,9 +162,17 @@ def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
 
 
-def test_one_ctrl_c_ends_a_script_that_runs_several_experiments(tmp_path):
-    with pytest.raises(KeyboardInterrupt):
-        Experiment(spec()).run(tmp_path, listener=press_ctrl_c)
+@pytest.mark.parametrize(
+    ("number", "end", "code"),
+    [(signal.SIGINT, KeyboardInterrupt, None), (signal.SIGTERM, SystemExit, "143"), (signal.SIGHUP, SystemExit, "129")],
+)
+def test_one_signal_ends_a_script_that_runs_several_experiments(tmp_path, number, end, code):
+    before = signal.signal(number, signal.default_int_handler)  # the tests may run under nohup, which ignores it
+    try:
+        with pytest.raises(end, match=code):
+            Experiment(spec()).run(tmp_path, listener=press(number))
+    finally:
+        signal.signal(number, before)
     with Store(Store.default_url(tmp_path)) as store:
         assert [(run.state, run.steps) for run in store.runs()] == [("stopped", 100)]
 

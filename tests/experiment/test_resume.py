@@ -83,7 +83,7 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatc
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100)))
+    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100), check=False))
     there = provenance.versions()
     monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
     events: list[Any] = []
@@ -94,10 +94,12 @@ def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = BASE | CASES[case]
     whole = only(Experiment(spec).run(tmp_path / "whole"))
-    broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert broken.runs[0].state == "stopped"
     assert broken.exit_code == 143
     again = Experiment(spec).run(tmp_path / "broken", existing="resume")
@@ -122,7 +124,7 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engin
     }
     whole = only(Experiment(spec).run(tmp_path / "whole"))
     spec["orchestrator"] = {"processes": 2, "environments": 1}
-    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100))
+    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert_same_runs(whole, only(Experiment(spec).run(tmp_path / "broken", existing="resume")))
 
 
@@ -130,7 +132,7 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engin
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A runs folder with one run that was stopped at 200 of 240 steps."""
     runs = tmp_path_factory.mktemp("stopped")
-    Experiment(USUAL).run(runs, listener=stopping_at(200))
+    Experiment(USUAL).run(runs, listener=stopping_at(200), check=False)
     return runs
 
 
@@ -327,7 +329,7 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
         "agent": SAC,
         "testing": {"interval": 100, "episodes": 4, "final_episodes": 0},
     }
-    Experiment(spec).run(tmp_path, listener=stopping_at(100))
+    Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False)
     events: list[object] = []
     outcome = Experiment(spec).run(tmp_path, existing="resume", listener=events.append)
     assert outcome.runs[0].state == "finished"
@@ -337,7 +339,7 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
 
 def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path: Path) -> None:
     spec = USUAL | {"training": BASE["training"] | {"mode": "async"}}
-    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100)))
+    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False))
     steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
     kept = [test.steps for test in stopped.tests()]
     stopped.add_test(replace(stopped.tests()[-1], steps=steps + 1))
@@ -360,7 +362,9 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["sac, priority, hindsight", "ppo"])
-def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case: str, tmp_path: Path) -> None:
+def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     spec = BASE | CASES[case]
     longer = spec | {"training": spec["training"] | {"steps": 400}}
     whole, short = only(Experiment(longer).run(tmp_path / "whole")), only(Experiment(spec).run(tmp_path))
@@ -378,3 +382,8 @@ def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case: str, tmp_p
     for override, words in (("agent.hidden=[8]", "settings that it began with"), ("training.steps=240", "has taken")):
         with pytest.raises(UsageError, match=words):
             resume_run(short, url, [override])
+    there = list(tmp_path.iterdir())
+    monkeypatch.setattr("karolos.launchers.experiment.check_parts", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        resume_run(short, url, ["training.steps=500"])
+    assert list(tmp_path.iterdir()) == there, "what is refused leaves no run"
