@@ -35,7 +35,7 @@ RELU_GAIN = 2**0.5
 """Keeps the variance of activations through rectifiers. Source: He et al. 2015."""
 
 
-class RolloutRows(NamedTuple):
+class RolloutBatch(NamedTuple):
     """The transitions of a rollout on the device: (n, ...)."""
 
     inputs: Tensor
@@ -111,7 +111,7 @@ class PPO(TorchAgent[Rollout]):
         """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates."""
         transitions, settings = self._transitions(batch), self.settings
         count = len(transitions.action)
-        # Every epoch uses each row once, in an order of its own. A rollout can be shorter where simulations diverged.
+        # Every epoch uses each transition once, in another order. A rollout can be shorter where simulations diverged.
         orders = (
             torch.randperm(count, generator=self.generator, device=self.device).tensor_split(
                 min(settings.minibatches, count)
@@ -119,8 +119,8 @@ class PPO(TorchAgent[Rollout]):
             for _ in range(settings.epochs)
         )
         updates: list[dict[str, Tensor]] = []
-        for rows in chain.from_iterable(orders):
-            metrics = self.update(RolloutRows(*(field[rows] for field in transitions)))
+        for chosen in chain.from_iterable(orders):
+            metrics = self.update(RolloutBatch(*(field[chosen] for field in transitions)))
             if metrics is None:
                 break
             updates.append(metrics)
@@ -140,7 +140,7 @@ class PPO(TorchAgent[Rollout]):
             "updates": len(updates),
         }
 
-    def update(self, minibatch: RolloutRows) -> dict[str, Tensor] | None:
+    def update(self, minibatch: RolloutBatch) -> dict[str, Tensor] | None:
         """One gradient step of policy and value; None, without a step, if the policy has moved too far already.
 
         The policy's loss is L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A) - entropy mean H, with the
@@ -181,7 +181,7 @@ class PPO(TorchAgent[Rollout]):
             "entropy": entropy,
         }
 
-    def _transitions(self, rollout: Rollout) -> RolloutRows:
+    def _transitions(self, rollout: Rollout) -> RolloutBatch:
         """The stored transitions, with advantages, values and log probabilities before learning from them."""
         stored = torch.from_numpy(rollout.stored.ravel()).to(self.device)
         inputs = self.network_input(rollout.observation, rollout.desired_goal)
@@ -199,7 +199,7 @@ class PPO(TorchAgent[Rollout]):
         log_probability = self.distribution.log_probability(self.policy(inputs), action)
         target = advantage + value
         self.value.update_scale(target)
-        return RolloutRows(inputs, action, log_probability, advantage, value, target)
+        return RolloutBatch(inputs, action, log_probability, advantage, value, target)
 
     def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:
         """Raise a UsageError if a rollout has fewer transitions than there are minibatches."""
