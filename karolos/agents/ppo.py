@@ -22,7 +22,7 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .inputs import Normaliser, to_array
 from .metrics import learning_rates, saturation
-from .networks import MLP, Shape
+from .networks import MLP, NetworkShape
 from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
@@ -91,7 +91,7 @@ class PPO(TorchAgent[Rollout]):
             self.distribution = Categorical(len(signature.action.labels))
         else:
             self.distribution = Gaussian(signature.action.size, settings.std, device)
-        self.policy = MLP(Shape((self.inputs, *settings.hidden, self.distribution.columns)), generator, device)
+        self.policy = MLP(NetworkShape((self.inputs, *settings.hidden, self.distribution.columns)), generator, device)
         make_orthogonal(self.policy, generator, last_gain=0.01)
         self.value = Value((self.inputs, *settings.hidden), generator, device)
         vectors = {"policy": self.policy.vector, "value": self.value.network.vector}
@@ -369,7 +369,7 @@ class Value:
     """
 
     def __init__(self, sizes: tuple[int, ...], generator: torch.Generator, device: str) -> None:
-        self.network = MLP(Shape((*sizes, 1)), generator, device)
+        self.network = MLP(NetworkShape((*sizes, 1)), generator, device)
         make_orthogonal(self.network, generator, last_gain=1.0)
         self._returns = Normaliser(1, device)
 

@@ -38,7 +38,7 @@ def check_engine(engine: Engine) -> None:
 
 
 def make_world(engine: Engine, **settings: Any) -> World:
-    """A new world. `settings`: those of the engine's class `World`."""
+    """A new world. `settings`: those of its class, e.g. `MujocoWorld`."""
     check_engine(engine)
-    world: World = import_module(f".{engine}.world", __package__).World(**settings)
+    world: World = getattr(import_module(f".{engine}.world", __package__), f"{engine.title()}World")(**settings)
     return world

@@ -15,7 +15,7 @@ from ..shapes import Inertia
 from .client import Client
 
 
-class Body:
+class BulletBody:
     """Implements `interface.Body`. Most methods are a single pybullet call of 1 to 3 us.
 
     PyBullet's pose of a base is that of its centre of mass and principal axes.
