@@ -12,7 +12,6 @@ from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
 from ..registry import closest
-from ..simulation.engines import installed
 from ..specification import Spec, spec_from_dict
 from ..specification.merge import RANDOMIZATION
 from ..training.assembly import located
@@ -115,10 +114,10 @@ def load_player(
 def engine_note(saved: Spec, played: Spec) -> str | None:
     """One line if a policy is played in another physics engine than it learned in; None otherwise."""
     own, other = engine_of(saved), engine_of(played)
-    if own is None or other in (own, None):
+    if own is None or other is None or other == own:
         return None
-    missing = "" if installed(own) else ", which is not installed"
-    return f"the policy learned in the engine {own}{missing}: it is played in {other}"
+    missing = "" if own.installed else ", which is not installed"
+    return f"the policy learned in the engine {own.name}{missing}: it is played in {other.name}"
 
 
 def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:

@@ -11,7 +11,7 @@ import torch
 from karolos.plugins.contracts import Case, candidate, cases
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import load, names
-from karolos.simulation.engines import installed
+from karolos.simulation.engines import BULLET
 
 
 @pytest.fixture(autouse=True)
@@ -43,7 +43,7 @@ def installed_cases() -> Iterator[Case]:
         yield from cases(candidate("distributions", name, **settings))
     for robot, task in product(names("robots"), names("tasks")):
         yield from of_pair(candidate("robots", robot), candidate("tasks", task))
-    if installed("bullet"):
+    if BULLET.installed:
         for robot in names("robots"):
             yield from cases(candidate("robots", robot, "bullet"), alone=True)
         # the other robots, and joints where a task moves the tool: `karolos plugins check robot NAME --engine bullet`

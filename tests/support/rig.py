@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 from karolos.core import Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
-from karolos.simulation.engines import Engine, installed
+from karolos.simulation.engines import ENGINES as KNOWN
 from karolos.specification.parts import Part, Recipe
 
-ENGINES = [name for name in get_args(Engine) if installed(name)]
+ENGINES = [name for name, engine in KNOWN.items() if engine.installed]
 ROBOTS = ("panda", "ur5", "iiwa")
 
 

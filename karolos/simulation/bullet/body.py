@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import UsageError
+from ..engines import BULLET
 from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface.engine import LinkState, Material
 from ..shapes import Inertia
@@ -99,8 +99,7 @@ class BulletBody:
         self.change(link, lateralFriction=lateral)
 
     def set_material(self, material: Material, link: int = -1) -> None:  # noqa: ARG002 (whatever they are)
-        what = "PyBullet has one stiffness, damping and restitution for all contacts"
-        raise UsageError(what, setting="environment.engine", hint="set environment.engine=mujoco")
+        raise BULLET.lacks("materials")
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         # with the mass alone pybullet would guess the inertia from the shape

@@ -8,7 +8,7 @@ from math import exp
 
 import numpy as np
 
-from ...errors import UsageError
+from ..engines import BULLET
 from ..geometry import Quaternion, Vector, matrix_of
 from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Body, Fingers, Frame, JointLimits, Loads, Spring
 from .body import BulletBody
@@ -184,7 +184,7 @@ class BulletMotors:
         return Loads(speed, acceleration, torque, self._peak)
 
     def attach(self, spring: Spring) -> None:  # noqa: ARG002
-        raise UsageError("PyBullet has no springs at tools", hint="set environment.engine=mujoco")
+        raise BULLET.lacks("impedance")
 
     def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
         """Nothing: there is no spring."""

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import PluginError, UsageError
+from ...errors import PluginError
 from .. import parts
+from ..engines import BULLET
 from ..fixtures import read
 from ..geometry import Colour, Quaternion, Vector
 from ..interface.engine import (
@@ -196,7 +197,7 @@ class BulletWorld:
         cup: Cup | None = None,
     ) -> BulletMotors:
         if cup is not None:
-            raise UsageError("PyBullet has no suction", hint="set environment.engine=mujoco")
+            raise BULLET.lacks("suction")
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]

@@ -14,8 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import MachineError, PluginError
+from ...errors import PluginError
 from .. import parts
+from ..engines import MUJOCO
 from ..fixtures import read
 from ..geometry import Colour, Vector
 from ..interface.engine import (
@@ -56,7 +57,7 @@ class MujocoWorld:
         substeps: physics steps per control step.
         rate: physics steps per second.
 
-    Raises MachineError when a window is requested: there is none.
+    Raises UsageError when a window is requested: there is none.
     """
 
     def __init__(
@@ -68,7 +69,7 @@ class MujocoWorld:
         camera: Camera | None = None,  # noqa: ARG002 (of a window)
     ) -> None:
         if window:
-            raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
+            raise MUJOCO.lacks("window")
         self.substeps = substeps
         self.period, self.lead = substeps / rate, 0.0
         self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_surfaces)
