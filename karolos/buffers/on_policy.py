@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FLOAT_BYTES, Buffer, MemoryNeed, Rollout, RunSize, Signature, State, Transitions
+from ..core import Buffer, Rollout, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import RunError, UsageError
-from .storage import transition_layout
 
 
 class OnPolicy(Buffer[Rollout]):
@@ -56,12 +54,6 @@ class OnPolicy(Buffer[Rollout]):
         )
         self._count = np.zeros(environments, np.int64)
         """Transitions of each environment in this rollout."""
-
-    @classmethod
-    def memory(cls, settings: OnPolicy.Settings, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
-        transitions = settings.rollout * size.environments
-        what = f"a rollout of {settings.rollout:,} steps of {size.environments:,} environments"
-        yield MemoryNeed(transitions * transition_layout(signature).size * FLOAT_BYTES, what, "buffer.rollout")
 
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment. Raises RunError while a complete rollout is not sampled."""

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, RunSize, Signature, State, Transitions
+from ..core import Batch, Buffer, FloatArray, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .augmentation import Augmentation
 from .hindsight import Hindsight
 from .n_step import extend
-from .storage import Slots, Storage, transition_layout
+from .storage import Slots, Storage
 
 
 class Replay(Buffer):
@@ -57,16 +57,6 @@ class Replay(Buffer):
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
-
-    @classmethod
-    def memory(cls, settings: Replay.Settings, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
-        row, capacity = transition_layout(signature).size * FLOAT_BYTES, settings.capacity
-        episodes = size.demonstrations
-        stored = max(capacity, 2 * min(capacity, size.steps))  # a checkpoint copies what is stored
-        yield MemoryNeed(stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
-        yield MemoryNeed(size.batch_size * row, f"a batch of {size.batch_size:,} transitions", "training.batch_size")
-        what = f"a buffer for {episodes:,} demonstrations of up to {signature.max_steps:,} steps"
-        yield MemoryNeed(2 * episodes * signature.max_steps * row, what, "demonstrations.episodes")
 
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment.

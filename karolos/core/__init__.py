@@ -13,13 +13,11 @@ from .experience import Batch, Experience, Rollout, Step, Transitions
 from .goals import GoalRule
 from .layout import Discrete, Field, Kind, Layout
 from .measures import Measure
-from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
 from .signature import Signature, random_actions
 
 __all__ = [
-    "FLOAT_BYTES",
     "Agent",
     "AgentSettings",
     "Array",
@@ -38,11 +36,9 @@ __all__ = [
     "Kind",
     "Layout",
     "Measure",
-    "MemoryNeed",
     "Orchestrator",
     "Received",
     "Rollout",
-    "RunSize",
     "Settings",
     "Signature",
     "State",
