@@ -145,8 +145,10 @@ class RobotTask(Environment):
     def _measures(self) -> tuple[Measure, ...]:
         rule, task = type(self.task.goal_rule), self.task
         measures = [TIME_TO_SUCCESS]
-        measures += [task.distance_measure] * (rule.distance is not GoalRule.distance)
-        measures += [FINAL_ANGLE] * (rule.angle is not GoalRule.angle)
+        if rule.distance is not GoalRule.distance:
+            measures.append(task.distance_measure)
+        if rule.angle is not GoalRule.angle:
+            measures.append(FINAL_ANGLE)
         measures += [*self.robot.measures, *task.measures]
         names = [measure.name for measure in measures]
         if twice := sorted({name for name in names if names.count(name) > 1}):
