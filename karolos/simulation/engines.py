@@ -15,7 +15,7 @@ Engine = Literal["mujoco", "bullet"]
 CALLED: dict[Ability, str] = {
     "impedance": "impedance control",
     "suction": "suction",
-    "materials": "stiffness, damping and restitution of each body's own",
+    "materials": "stiffness, damping or restitution of single bodies",
     "window": "window",
 }
 
