@@ -16,7 +16,7 @@ from typing import Annotated, Any
 import numpy as np
 from typer import Option
 
-from karolos.buffers.storage import row_layout
+from karolos.buffers.storage import transition_layout
 from karolos.core import FloatArray, Layout, Signature, Transitions, random_actions
 from karolos.core.seeding import SeedTree
 from karolos.plugins.inspection import pair
@@ -48,7 +48,7 @@ def measure(*, transitions: Annotated[int, Option(min=1000)] = 1_000_000, second
         tracemalloc.stop()
         yield Row(f"{name}, memory of {size}", memory / 1e9, "GB")
         contestants[name] = partial(_milliseconds, buffer, noise_episode(signature, ENVIRONMENTS))
-    layout = row_layout(signature).size * 4 * transitions / 1e9
+    layout = transition_layout(signature).size * 4 * transitions / 1e9
     yield Row(f"rows of {size} as laid out", layout, "GB")
     for name, turns in take_turns(contestants, turns=10, seconds=seconds).items():
         update = ", priorities updated" if name == "priority" else ""

@@ -14,7 +14,6 @@ import karolos
 from karolos.files import SPECS
 
 PACKAGE = Path(karolos.__file__).parent
-SPECS = next(path for above in (PACKAGE, PACKAGE.parent) if (path := above / "specs").is_dir())
 PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "launcher")
 
 

@@ -67,3 +67,13 @@ def _definitions(path: Path) -> set[str]:
 def test_every_file_that_the_page_names_exists() -> None:
     for name in re.findall(r"`((?:karolos|cli|docs|specs|tests|examples)/[\w./-]*\w)/?`", PAGE):
         assert (ROOT / name).exists(), name
+
+
+def test_a_class_name_stands_for_one_thing() -> None:
+    places: dict[str, list[str]] = {}
+    for path in (*(ROOT / "karolos").rglob("*.py"), *(ROOT / "cli").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ClassDef):
+                places.setdefault(node.name.lstrip("_"), []).append(f"{path.relative_to(ROOT)}:{node.lineno}")
+    assert len(places.pop("Settings")) > 20  # those of each plugin are nested in its class
+    assert not {name: found for name, found in places.items() if len(found) > 1}

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from itertools import product
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -23,7 +23,7 @@ from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.policies import Policy, load_expert
 from karolos.evaluation.testing import test_seeds
 from karolos.records import RunFolder, shipped
-from karolos.simulation.engines import Engine, installed, make_world
+from karolos.simulation.engines import ENGINES, Engine, make_world
 from karolos.simulation.interface import JointLimits
 from karolos.simulation.interface.engine import Contact
 from karolos.simulation.parts import Mechanism
@@ -357,7 +357,7 @@ def main() -> None:
     parser.add_argument("--expert", action="store_true", help="play the experts of specs instead of policies")
     parser.add_argument("--episodes", type=int, default=100)
     parser.add_argument("--rates", type=int, nargs="*", default=[240])
-    parser.add_argument("--engines", nargs="*", default=[engine for engine in get_args(Engine) if installed(engine)])
+    parser.add_argument("--engines", nargs="*", default=[name for name, engine in ENGINES.items() if engine.installed])
     given = parser.parse_args()
     rows = {}
     for engine, rate in product(given.engines, given.rates):

@@ -20,7 +20,7 @@ from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
 from .layers import Tape
 from .metrics import Metrics
-from .networks import MLP, Shape
+from .networks import MLP, NetworkShape
 from .noise import Noise
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
@@ -123,7 +123,7 @@ class ActorCritic(TorchAgent):
         self.actions = actions = signature.action.size
         super().__init__(settings, signature, seeds, device)
         bfloat16 = uses_bfloat16(settings.precision, device)
-        shape = Shape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
+        shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
         self.policy = MLP(shape, self.weights_generator, device)
         self.average = self.policy
         """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
@@ -132,7 +132,7 @@ class ActorCritic(TorchAgent):
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
         sizes = (self.inputs + self.critic_only + actions, *settings.hidden, self.critic_kind.columns)
-        shape = Shape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
+        shape = NetworkShape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
         self.critic = MLP(shape, self.weights_generator, device)
         self.target = self.critic.copy()
         self.noise = Noise(settings.noise, self.inputs, actions, self.device)

@@ -20,7 +20,7 @@ from ..errors import UsageError
 from .device import Precision, uses_bfloat16
 from .inputs import TensorBatch
 from .metrics import Metrics, report
-from .networks import MLP, Shape
+from .networks import MLP, NetworkShape
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
@@ -76,7 +76,7 @@ class DQN(TorchAgent):
             )
         self._actions = len(signature.action.labels)
         super().__init__(settings, signature, seeds, device)
-        shape = Shape(
+        shape = NetworkShape(
             (self.inputs, *settings.hidden, self._actions + settings.dueling),
             layer_norm=settings.layer_norm,
             bfloat16=uses_bfloat16(settings.precision, device),

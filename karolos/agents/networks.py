@@ -23,7 +23,7 @@ from .layers import Affine, Tape
 
 
 @dataclass(frozen=True)
-class Shape:
+class NetworkShape:
     """Layers and options of a network.
 
     Args:
@@ -61,7 +61,7 @@ class MLP:
         device: where the parameters live.
     """
 
-    def __init__(self, shape: Shape, generator: torch.Generator, device: str) -> None:
+    def __init__(self, shape: NetworkShape, generator: torch.Generator, device: str) -> None:
         self.shape = shape
         members, sizes = max(shape.members, 1), [math.prod(size) for size in shape.parameters().values()]
         self.vector = torch.zeros(members * sum(sizes), device=device)

@@ -22,7 +22,7 @@ from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .inputs import Normaliser, to_array
 from .metrics import learning_rates, saturation
-from .networks import MLP, Shape
+from .networks import MLP, NetworkShape
 from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
@@ -35,7 +35,7 @@ RELU_GAIN = 2**0.5
 """Keeps the variance of activations through rectifiers. Source: He et al. 2015."""
 
 
-class RolloutRows(NamedTuple):
+class RolloutBatch(NamedTuple):
     """The transitions of a rollout on the device: (n, ...)."""
 
     inputs: Tensor
@@ -91,7 +91,7 @@ class PPO(TorchAgent[Rollout]):
             self.distribution = Categorical(len(signature.action.labels))
         else:
             self.distribution = Gaussian(signature.action.size, settings.std, device)
-        self.policy = MLP(Shape((self.inputs, *settings.hidden, self.distribution.columns)), generator, device)
+        self.policy = MLP(NetworkShape((self.inputs, *settings.hidden, self.distribution.columns)), generator, device)
         make_orthogonal(self.policy, generator, last_gain=0.01)
         self.value = Value((self.inputs, *settings.hidden), generator, device)
         vectors = {"policy": self.policy.vector, "value": self.value.network.vector}
@@ -111,7 +111,7 @@ class PPO(TorchAgent[Rollout]):
         """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates."""
         transitions, settings = self._transitions(batch), self.settings
         count = len(transitions.action)
-        # Every epoch uses each row once, in an order of its own. A rollout can be shorter where simulations diverged.
+        # Every epoch uses each transition once, in another order. A rollout can be shorter where simulations diverged.
         orders = (
             torch.randperm(count, generator=self.generator, device=self.device).tensor_split(
                 min(settings.minibatches, count)
@@ -119,8 +119,8 @@ class PPO(TorchAgent[Rollout]):
             for _ in range(settings.epochs)
         )
         updates: list[dict[str, Tensor]] = []
-        for rows in chain.from_iterable(orders):
-            metrics = self.update(RolloutRows(*(field[rows] for field in transitions)))
+        for chosen in chain.from_iterable(orders):
+            metrics = self.update(RolloutBatch(*(field[chosen] for field in transitions)))
             if metrics is None:
                 break
             updates.append(metrics)
@@ -140,7 +140,7 @@ class PPO(TorchAgent[Rollout]):
             "updates": len(updates),
         }
 
-    def update(self, minibatch: RolloutRows) -> dict[str, Tensor] | None:
+    def update(self, minibatch: RolloutBatch) -> dict[str, Tensor] | None:
         """One gradient step of policy and value; None, without a step, if the policy has moved too far already.
 
         The policy's loss is L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A) - entropy mean H, with the
@@ -181,7 +181,7 @@ class PPO(TorchAgent[Rollout]):
             "entropy": entropy,
         }
 
-    def _transitions(self, rollout: Rollout) -> RolloutRows:
+    def _transitions(self, rollout: Rollout) -> RolloutBatch:
         """The stored transitions, with advantages, values and log probabilities before learning from them."""
         stored = torch.from_numpy(rollout.stored.ravel()).to(self.device)
         inputs = self.network_input(rollout.observation, rollout.desired_goal)
@@ -199,7 +199,7 @@ class PPO(TorchAgent[Rollout]):
         log_probability = self.distribution.log_probability(self.policy(inputs), action)
         target = advantage + value
         self.value.update_scale(target)
-        return RolloutRows(inputs, action, log_probability, advantage, value, target)
+        return RolloutBatch(inputs, action, log_probability, advantage, value, target)
 
     def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:
         """Raise a UsageError if a rollout has fewer transitions than there are minibatches."""
@@ -369,7 +369,7 @@ class Value:
     """
 
     def __init__(self, sizes: tuple[int, ...], generator: torch.Generator, device: str) -> None:
-        self.network = MLP(Shape((*sizes, 1)), generator, device)
+        self.network = MLP(NetworkShape((*sizes, 1)), generator, device)
         make_orthogonal(self.network, generator, last_gain=1.0)
         self._returns = Normaliser(1, device)
 

@@ -19,7 +19,7 @@ from .metrics import Metrics, report, saturation
 from .noise import NoiseSettings
 from .optimisation import Adam
 from .quantiles import QuantileCritic, Quantiles
-from .squashed_gaussian import Sample, sample
+from .squashed_gaussian import SquashedActions, squashed
 
 
 class SAC(ActorCritic):
@@ -68,7 +68,7 @@ class SAC(ActorCritic):
         self._target_entropy = -float(self.actions) if settings.target_entropy is None else settings.target_entropy
 
     def noisy(self, output: Tensor, noise: Tensor) -> Tensor:
-        return sample(output, noise).action
+        return squashed(output, noise).action
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
@@ -77,7 +77,7 @@ class SAC(ActorCritic):
         data = self.begin_update(batch, update)
         policy_learns = update % delay == 0
         # One pass of the policy gives the actions in both s' and s: it changes after both are used.
-        drawn = self.sample(data.both_inputs if policy_learns else data.next_input)
+        drawn = self.draw(data.both_inputs if policy_learns else data.next_input)
         next_actions, actions = drawn.split(len(data.action))
 
         targets = self.targets(data, next_actions.action, self.counted_entropy(next_actions))
@@ -89,17 +89,17 @@ class SAC(ActorCritic):
         self.target.follow(self.critic, self.settings.tau)
         return report(metrics, self.optimisers, update // delay)
 
-    def sample(self, inputs: Tensor) -> Sample:
+    def draw(self, inputs: Tensor) -> SquashedActions:
         """a ~ pi(. | s)."""
         output, tapes = self.policy.forward(inputs)
         noise = torch.randn((len(inputs), self.actions), generator=self.generator, device=self.device)
-        return sample(output, noise, tapes)
+        return squashed(output, noise, tapes)
 
-    def counted_entropy(self, actions: Sample) -> Tensor | None:
+    def counted_entropy(self, actions: SquashedActions) -> Tensor | None:
         """- temperature log pi(a | s), (n,), if it counts in the critics' targets."""
         return -(self.log_temperature.exp() * actions.log_probability()) if self.settings.entropy_in_target else None
 
-    def policy_step(self, batch: TensorBatch, own: Sample, log_probability: Tensor) -> Metrics:
+    def policy_step(self, batch: TensorBatch, own: SquashedActions, log_probability: Tensor) -> Metrics:
         """One gradient step of the policy on L = sum_i weight_i (temperature log pi(a_i | s_i) - Q(s_i, a_i)).
 
         Source: Haarnoja et al. 2018, equation 7; the action is reparameterised (equation 9). d L / d log pi =

@@ -16,7 +16,7 @@ LOG_STD_BOUNDS = (-5.0, 2.0)
 """Of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
 
 
-class Sample(NamedTuple):
+class SquashedActions(NamedTuple):
     """Actions in [-1, 1] and the terms they are computed from, (n, a) each.
 
     action = tanh(u), u = m + exp(s) e, with the mean m, the clamped log standard deviation s and the noise e.
@@ -36,11 +36,12 @@ class Sample(NamedTuple):
     tapes: tuple[Tape, ...] = ()
     """Of the policy network's pass."""
 
-    def split(self, count: int) -> tuple[Sample, Sample]:
+    def split(self, count: int) -> tuple[SquashedActions, SquashedActions]:
         """The first `count` rows without tapes, and the others with them."""
         *fields, tapes = self
-        first = Sample._make([*(field[:count] for field in fields), ()])
-        return first, Sample._make([*(field[count:] for field in fields), tuple(tape.rows(count) for tape in tapes)])
+        first = [*(field[:count] for field in fields), ()]
+        others = [*(field[count:] for field in fields), tuple(tape.rows(count) for tape in tapes)]
+        return SquashedActions._make(first), SquashedActions._make(others)
 
     def mode(self) -> Tensor:
         """tanh(m)"""
@@ -68,10 +69,10 @@ class Sample(NamedTuple):
         return torch.cat((by_mean, by_log_std), -1)
 
 
-def sample(output: Tensor, noise: Tensor, tapes: Iterable[Tape] = ()) -> Sample:
+def squashed(output: Tensor, noise: Tensor, tapes: Iterable[Tape] = ()) -> SquashedActions:
     """Actions from the network's output (n, 2 a), mean and log standard deviation, and standard normal noise (n, a)."""
     mean, raw = output.chunk(2, -1)
     log_std = raw.clamp(*LOG_STD_BOUNDS)
     shift = log_std.exp() * noise
     unbounded = mean + shift
-    return Sample(torch.tanh(unbounded), unbounded, shift, log_std, raw == log_std, noise, tuple(tapes))
+    return SquashedActions(torch.tanh(unbounded), unbounded, shift, log_std, raw == log_std, noise, tuple(tapes))

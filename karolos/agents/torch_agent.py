@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from collections.abc import Iterator
-from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 from zlib import crc32
 
@@ -18,14 +16,11 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import (
-    FLOAT_BYTES,
     Agent,
     AgentSettings,
     Batch,
     Experience,
     FloatArray,
-    MemoryNeed,
-    RunSize,
     Signature,
     State,
 )
@@ -184,16 +179,6 @@ class TorchAgent(Agent[Experience]):
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
         missing = np.array(self.missing, np.int64)
         return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon, missing)
-
-    @classmethod
-    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
-        inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
-        weights = sum((before + 1) * after for before, after in pairwise((inputs, *settings.hidden, 1)))
-        what = f"an agent with networks of {' x '.join(map(str, settings.hidden))} units"
-        yield MemoryNeed(cls.arrays * weights * FLOAT_BYTES, what, "agent.hidden")
-        if not cls.on_policy:
-            activations = 2 * size.batch_size * sum(settings.hidden) * FLOAT_BYTES
-            yield MemoryNeed(activations, f"a batch of {size.batch_size:,} transitions", "training.batch_size")
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

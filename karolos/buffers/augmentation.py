@@ -16,7 +16,7 @@ from ..core import BoolArray, Discrete, FloatArray, Kind, Layout, Signature
 from ..core import Settings as BaseSettings
 from ..core.compiled import compiled
 from ..errors import PluginError, UsageError
-from .storage import Rows, row_layout
+from .storage import StoredTransitions, transition_layout
 
 SIGNS: Mapping[Kind, tuple[int, ...]] = {
     "scalar": (1,),
@@ -67,25 +67,25 @@ class Augmentation:
             "desired_goal": signature.desired_goal,
             "action": signature.action,
         }
-        rows = row_layout(signature)
-        self._signs, self._axes = np.ones(rows.size, np.float32), np.zeros(rows.size, np.int64)
+        columns = transition_layout(signature)
+        self._signs, self._axes = np.ones(columns.size, np.float32), np.zeros(columns.size, np.int64)
         for name, layout in changed.items():
-            self._signs[rows.slice(name)] = _columns(layout, SIGNS)
-            self._axes[rows.slice(name)] = _columns(layout, AXES)
+            self._signs[columns.slice(name)] = _columns(layout, SIGNS)
+            self._axes[columns.slice(name)] = _columns(layout, AXES)
 
-    def apply(self, rows: Rows, generator: np.random.Generator) -> None:
-        """Mirror half of the rows and move all, each on its own. What hindsight alone needs stays as it is."""
-        size, settings = len(rows.table), self.settings
+    def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
+        """Mirror half of the transitions and move all, each on its own. What hindsight alone needs stays as it is."""
+        size, settings = len(stored.table), self.settings
         self.batches += 1
         if settings.batches is not None and self.batches > settings.batches:
             return
         mirrored = generator.random(size, np.float32) < (0.5 if settings.mirror else 0.0)
         way = (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift)
-        self.change(rows, mirrored, way)
+        self.change(stored, mirrored, way)
 
-    def change(self, rows: Rows, mirrored: BoolArray, way: FloatArray) -> None:
-        """Mirror those rows (n,), then move each along x and y by so much (n, 2), in m."""
-        _change(rows.table, mirrored, way, self._signs, self._axes)
+    def change(self, stored: StoredTransitions, mirrored: BoolArray, way: FloatArray) -> None:
+        """Mirror the marked ones (n,), then move each along x and y by so much (n, 2), in m."""
+        _change(stored.table, mirrored, way, self._signs, self._axes)
 
 
 @compiled

@@ -14,7 +14,7 @@ from pydantic import Field as Setting
 from ..core import Array, FloatArray, GoalRule, Signature, Transitions
 from ..core import Settings as BaseSettings
 from ..errors import PluginError, UsageError
-from .storage import Rows, Slots, Storage
+from .storage import Slots, Storage, StoredTransitions
 
 CHECKED_TRANSITIONS = 1000
 """Transitions that are compared with the goal rule at the start of a run."""
@@ -107,13 +107,15 @@ class Hindsight:
                 hint="let the step's `terminated` include the goal rule's",
             )
 
-    def relabel(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> Array:
-        """Give randomly chosen rows new goals, and recompute their `reward` and `terminated`, in place.
+    def relabel(
+        self, stored: StoredTransitions, slots: Slots, storage: Storage, generator: np.random.Generator
+    ) -> Array:
+        """Give randomly chosen transitions new goals, and recompute their `reward` and `terminated`, in place.
 
         Returns:
-            The indices of these rows.
+            The indices of these transitions.
         """
-        goal_slots = self._goal_slots(rows, slots, storage, generator)
+        goal_slots = self._goal_slots(stored, slots, storage, generator)
         if self.settings.next_share:
             # Source: Özgür et al. 2025, "Next-Future", arXiv 2504.11247, where it is one new goal in four.
             achieves_it = generator.random(slots.size, np.float32) < self.settings.next_share
@@ -121,25 +123,27 @@ class Hindsight:
         chosen = np.flatnonzero(generator.random(slots.size, np.float32) < self.settings.ratio)
         goals = storage.column("next_achieved_goal", goal_slots[chosen])[:, : self._size]
         if self.settings.min_displacement > 0:
-            displacement = goals - rows["achieved_goal"].take(chosen, axis=0)[:, : self._size]
+            displacement = goals - stored["achieved_goal"].take(chosen, axis=0)[:, : self._size]
             moved = np.flatnonzero(np.vecdot(displacement, displacement) >= self.settings.min_displacement**2)
             chosen, goals = chosen[moved], goals.take(moved, axis=0)
-        achieved = rows["next_achieved_goal"].take(chosen, axis=0)
-        desired, terminated = rows["desired_goal"], rows["terminated"]
+        achieved = stored["next_achieved_goal"].take(chosen, axis=0)
+        desired, terminated = stored["desired_goal"], stored["terminated"]
         if self._goal_terminates:
             # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
             other_cause = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
             terminated[chosen] = other_cause | self._rule.terminated(achieved, goals)
-        rows["reward"][chosen] = relabelled_reward(
-            self._rule, achieved, desired[chosen], goals, rows["reward"][chosen], self._extra
+        stored["reward"][chosen] = relabelled_reward(
+            self._rule, achieved, desired[chosen], goals, stored["reward"][chosen], self._extra
         )
         desired[chosen] = goals
         return chosen
 
-    def _goal_slots(self, rows: Rows, slots: Slots, storage: Storage, generator: np.random.Generator) -> Array:
-        """The slot of each row's new goal: a stored step of the row's own episode."""
-        step = rows["step"].astype(np.int64)
-        remaining = storage.lengths(slots, rows) - step  # including this step and the last
+    def _goal_slots(
+        self, stored: StoredTransitions, slots: Slots, storage: Storage, generator: np.random.Generator
+    ) -> Array:
+        """The slot of each transition's new goal: a stored step of its own episode."""
+        step = stored["step"].astype(np.int64)
+        remaining = storage.lengths(slots, stored) - step  # including this step and the last
         if self.settings.strategy == "final":
             return storage.shifted(slots, remaining - 1)
         if self.settings.strategy == "future":

@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FLOAT_BYTES, Buffer, MemoryNeed, Rollout, RunSize, Signature, State, Transitions
+from ..core import Buffer, Rollout, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree
 from ..errors import RunError, UsageError
-from .storage import row_layout
 
 
 class OnPolicy(Buffer[Rollout]):
@@ -44,7 +42,7 @@ class OnPolicy(Buffer[Rollout]):
         def wide(columns: int) -> NDArray[np.float32]:
             return np.zeros((*size, columns), np.float32)
 
-        self._rows = Rollout(
+        self._rollout = Rollout(
             observation=wide(signature.observation.size),
             desired_goal=wide(signature.desired_goal.size),
             action=wide(signature.action.size),
@@ -57,28 +55,22 @@ class OnPolicy(Buffer[Rollout]):
         self._count = np.zeros(environments, np.int64)
         """Transitions of each environment in this rollout."""
 
-    @classmethod
-    def memory(cls, settings: OnPolicy.Settings, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
-        transitions = settings.rollout * size.environments
-        what = f"a rollout of {settings.rollout:,} steps of {size.environments:,} environments"
-        yield MemoryNeed(transitions * row_layout(signature).size * FLOAT_BYTES, what, "buffer.rollout")
-
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment. Raises RunError while a complete rollout is not sampled."""
         if len(self):
             raise RunError("the rollout is complete and was not sampled", setting="buffer")
         environments = transitions.environment
         places = self._count[environments], environments
-        rows = self._rows
+        rollout = self._rollout
         for name in ("observation", "desired_goal", "action", "reward", "next_observation", "terminated"):
-            getattr(rows, name)[places] = getattr(transitions, name)
-        rows.ended[places] = transitions.terminated | transitions.truncated
+            getattr(rollout, name)[places] = getattr(transitions, name)
+        rollout.ended[places] = transitions.terminated | transitions.truncated
         self._count[environments] += 1
 
     def cut(self, environments: NDArray[np.int64]) -> None:
         """Truncate the running episodes of these environments."""
         started = environments[self._count[environments] > 0]
-        self._rows.ended[self._count[started] - 1, started] = True
+        self._rollout.ended[self._count[started] - 1, started] = True
 
     def sample(self, size: int) -> Rollout:
         """The rollout, once. Its arrays are valid until the next `add`.
@@ -91,7 +83,7 @@ class OnPolicy(Buffer[Rollout]):
             raise RunError("the rollout is not complete yet", setting="buffer", hint="add more transitions first")
         if size != len(self):
             raise ValueError(f"a rollout is sampled as a whole: {len(self)} transitions, not {size}")
-        rollout = self._rows
+        rollout = self._rollout
         started = np.flatnonzero(self._count)
         rollout.ended[self._count[started] - 1, started] = True  # the next transition belongs to the next rollout
         rollout.stored[:] = np.arange(self.settings.rollout)[:, None] < self._count
@@ -104,15 +96,15 @@ class OnPolicy(Buffer[Rollout]):
     def state(self) -> State:
         """The transitions so far; arrays are copies."""
         used = int(self._count.max())
-        rows = {name: array[:used].copy() for name, array in self._rows._asdict().items()}
-        return {"rows": rows, "count": self._count.copy()}
+        stored = {name: array[:used].copy() for name, array in self._rollout._asdict().items()}
+        return {"rows": stored, "count": self._count.copy()}
 
     def load_state(self, state: State) -> None:
         """Raises UsageError for the state of a buffer of another shape."""
-        rows, count = state["rows"], np.asarray(state["count"])
+        stored, count = state["rows"], np.asarray(state["count"])
         fits = all(
-            np.asarray(rows[name]).shape[1:] == array.shape[1:] and len(rows[name]) <= len(array)
-            for name, array in self._rows._asdict().items()
+            np.asarray(stored[name]).shape[1:] == array.shape[1:] and len(stored[name]) <= len(array)
+            for name, array in self._rollout._asdict().items()
         )
         if not fits or count.shape != self._count.shape:
             raise UsageError(
@@ -120,6 +112,6 @@ class OnPolicy(Buffer[Rollout]):
                 setting="buffer",
                 hint="resume with the spec the run was started with",
             )
-        for name, array in self._rows._asdict().items():
-            array[: len(rows[name])] = rows[name]
+        for name, array in self._rollout._asdict().items():
+            array[: len(stored[name])] = stored[name]
         self._count[:] = count

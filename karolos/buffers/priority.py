@@ -72,12 +72,12 @@ class Priority(Replay):
 
     def _draw(self, size: int) -> tuple[Slots, Numbers]:
         """Slots drawn by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
-        tree, demonstrated = self._tree, self._demonstration_rows(size)
+        tree, demonstrated = self._tree, self._demonstrated_count(size)
         total, strata = tree.total, np.arange(size) + self._generator.random(size)
         if demonstrated is None:
             slots = tree.find(strata * (total / size))
             return slots, tree[slots] * (len(self) / total)
-        # The first rows are drawn from the environments' transitions, the others from demonstrations, which have the
+        # The first ones are drawn from the environments' transitions, the others from demonstrations, which have the
         # last slots.
         others, first_slot = size - demonstrated, self.storage.environments * self.storage.ring_size
         mass = tree.before(first_slot)

@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import FLOAT_BYTES, Batch, Buffer, FloatArray, MemoryNeed, RunSize, Signature, State, Transitions
+from ..core import Batch, Buffer, FloatArray, Signature, State, Transitions
 from ..core import Settings as BaseSettings
 from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .augmentation import Augmentation
 from .hindsight import Hindsight
 from .n_step import extend
-from .storage import Slots, Storage, row_layout
+from .storage import Slots, Storage
 
 
 class Replay(Buffer):
@@ -58,15 +58,6 @@ class Replay(Buffer):
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
 
-    @classmethod
-    def memory(cls, settings: Replay.Settings, signature: Signature, size: RunSize) -> Iterator[MemoryNeed]:
-        row, capacity, episodes = row_layout(signature).size * FLOAT_BYTES, settings.capacity, size.demonstrations
-        stored = max(capacity, 2 * min(capacity, size.steps))  # a checkpoint copies what is stored
-        yield MemoryNeed(stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
-        yield MemoryNeed(size.batch_size * row, f"a batch of {size.batch_size:,} transitions", "training.batch_size")
-        what = f"a buffer for {episodes:,} demonstrations of up to {signature.max_steps:,} steps"
-        yield MemoryNeed(2 * episodes * signature.max_steps * row, what, "demonstrations.episodes")
-
     def add(self, transitions: Transitions) -> None:
         """Store at most one transition of each environment.
 
@@ -92,10 +83,10 @@ class Replay(Buffer):
         """End the running episodes of these environments."""
         self.storage.cut(environments)
 
-    def _demonstration_rows(self, size: int) -> int | None:
+    def _demonstrated_count(self, size: int) -> int | None:
         """Number of demonstrated transitions in a batch; None without a fixed share or without demonstrations.
 
-        All rows while only demonstrations are stored. Raises RunError while the buffer is empty.
+        All while only demonstrations are stored. Raises RunError while the buffer is empty.
         """
         self._require_transitions()
         if self._share is None or not self.storage.demonstrations:
@@ -115,13 +106,13 @@ class Replay(Buffer):
             weights: importance weights of their losses, (n,).
             identifiers: the numbers in `Batch.slot`, (n,).
         """
-        rows = self.storage.gather(slots)
+        stored = self.storage.gather(slots)
         relabelled = np.zeros(0, np.int64)
         if self._hindsight is not None:
-            relabelled = self._hindsight.relabel(rows, slots, self.storage, self._generator)
+            relabelled = self._hindsight.relabel(stored, slots, self.storage, self._generator)
         if self._n_step > 1:
             self._discounts = extend(
-                rows,
+                stored,
                 slots,
                 relabelled,
                 self.storage,
@@ -133,18 +124,18 @@ class Replay(Buffer):
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)
         if self._augmentation is not None:
-            self._augmentation.apply(rows, self._generator)
+            self._augmentation.apply(stored, self._generator)
         demonstrated = self.storage.demonstrated(slots)
         if self.marks_relabelled:
             demonstrated = np.zeros(slots.size, np.float32) if demonstrated is None else demonstrated
             demonstrated[relabelled] = 1
         return Batch(
-            observation=rows["observation"],
-            desired_goal=rows["desired_goal"],
-            action=rows["action"],
-            reward=rows["reward"],
-            next_observation=rows["next_observation"],
-            terminated=rows["terminated"],
+            observation=stored["observation"],
+            desired_goal=stored["desired_goal"],
+            action=stored["action"],
+            reward=stored["reward"],
+            next_observation=stored["next_observation"],
+            terminated=stored["terminated"],
             discount=self._discounts,
             weight=weights,
             slot=identifiers,

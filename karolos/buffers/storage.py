@@ -21,7 +21,7 @@ SCALARS = ("reward", "terminated", "step", "length")
 """Fields of one number."""
 
 
-def row_layout(signature: Signature) -> Layout:
+def transition_layout(signature: Signature) -> Layout:
     """The columns of a stored transition.
 
     `step`: index of the step in its episode, from 0. `length`: steps of the whole episode; 0 while it runs.
@@ -40,8 +40,8 @@ def row_layout(signature: Signature) -> Layout:
     )
 
 
-class Rows(dict[str, FloatArray]):
-    """Rows of the table by the names of their columns, as writable views. Valid until the next gather.
+class StoredTransitions(dict[str, FloatArray]):
+    """Transitions of the table by the names of its columns, as writable views. Valid until the next gather.
 
     A field is (n, size of the field), one of `SCALARS` is (n,).
     """
@@ -53,9 +53,9 @@ class Rows(dict[str, FloatArray]):
             view = self.table[:, layout.slice(field.name)]
             self[field.name] = view[:, 0] if field.name in SCALARS else view
 
-    def resized(self, size: int) -> Rows:
-        """These rows, or new ones if they are not `size`."""
-        return self if size == len(self.table) else Rows(self.layout, size)
+    def resized(self, size: int) -> StoredTransitions:
+        """These transitions, or new ones if they are not `size`."""
+        return self if size == len(self.table) else StoredTransitions(self.layout, size)
 
 
 class Storage:
@@ -80,9 +80,9 @@ class Storage:
                 setting="buffer.capacity",
                 hint=f"set buffer.capacity to {environments * signature.max_steps} or more, or use fewer environments",
             )
-        self.layout = row_layout(signature)
+        self.layout = transition_layout(signature)
         self.table = np.zeros((0, self.layout.size), np.float32)
-        self._gathered, self._incoming = Rows(self.layout), Rows(self.layout)
+        self._gathered, self._incoming = StoredTransitions(self.layout), StoredTransitions(self.layout)
         self._columns: dict[str, int | slice] = {
             field.name: self.layout.slice(field.name) for field in self.layout.fields
         }
@@ -137,14 +137,14 @@ class Storage:
     def add(self, transitions: Transitions) -> Slots:
         """Store at most one transition of each environment; returns their slots."""
         rings = transitions.environment
-        self._incoming = rows = self._incoming.resized(rings.size)
-        for name, column in rows.items():
+        self._incoming = incoming = self._incoming.resized(rings.size)
+        for name, column in incoming.items():
             if name not in {"step", "length"}:
                 column[:] = getattr(transitions, name)
-        rows["step"][:] = self.running[rings]
-        rows["length"][:] = 0
+        incoming["step"][:] = self.running[rings]
+        incoming["length"][:] = 0
         slots: Slots = rings * self.ring_size + self.written[rings] % self.ring_size
-        self.table[slots] = rows.table
+        self.table[slots] = incoming.table
         self.written[rings] += 1
         self.running[rings] += 1
         if not self._full:
@@ -210,20 +210,20 @@ class Storage:
         rings, places = np.divmod(slots, self.ring_size)
         return np.asarray((self.written[rings] - 1 - places) // self.ring_size)
 
-    def gather(self, slots: Slots) -> Rows:
-        """The transitions at these slots; the rows are overwritten by the next call."""
+    def gather(self, slots: Slots) -> StoredTransitions:
+        """The transitions at these slots; the next call overwrites them."""
         self._gathered = self._gathered.resized(slots.size)
         np.take(self.table, slots, axis=0, out=self._gathered.table, mode="clip")
         return self._gathered
 
     def column(self, name: str, slots: Slots) -> FloatArray:
-        """One field of the transitions at these slots, as in `Rows`: a copy."""
+        """One field of the transitions at these slots, as in `StoredTransitions`: a copy."""
         column: FloatArray = self.table[slots, self._columns[name]]
         return column
 
-    def lengths(self, slots: Slots, rows: Rows) -> Array:
-        """Steps of each row's episode, so far if it still runs: (n,) int64."""
-        lengths = rows["length"].astype(np.int64)
+    def lengths(self, slots: Slots, stored: StoredTransitions) -> Array:
+        """Steps of each transition's episode, so far if it still runs: (n,) int64."""
+        lengths = stored["length"].astype(np.int64)
         return np.where(lengths > 0, lengths, self.running[slots // self.ring_size])
 
     def older(self, slots: Slots) -> Array:

@@ -13,7 +13,7 @@ class Uniform(Replay):
 
     def sample(self, size: int) -> Batch:
         """`size` transitions; the arrays are views that the next call overwrites. Raises RunError if it is empty."""
-        demonstrated, draw = self._demonstration_rows(size), self._generator.integers
+        demonstrated, draw = self._demonstrated_count(size), self._generator.integers
         if demonstrated is None:
             ranks = draw(0, len(self), size)
         else:  # demonstrations have the last ranks

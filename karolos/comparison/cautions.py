@@ -6,10 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from ..simulation.engines import ENGINES
 from .contenders import ComparedRun, Contender
-
-ENGINES = {"pybullet": "bullet", "mujoco-core": "mujoco"}
-"""Package -> name of its engine in a spec."""
 
 
 def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
@@ -78,8 +76,8 @@ def _testing(key: str, run: ComparedRun) -> object:
 def _version(package: str, run: ComparedRun) -> str | None:
     """The version of a package; None if it is that of an engine that the run did not use."""
     engine = _engine(run)
-    unused = engine is not None and ENGINES.get(package, engine) != engine
-    return None if unused else run.versions.get(package)
+    others = [one.package for one in ENGINES.values() if engine is not None and one.name != engine]
+    return None if package in others else run.versions.get(package)
 
 
 def _engine(run: ComparedRun) -> str | None:

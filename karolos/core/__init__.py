@@ -10,16 +10,11 @@ from .arrays import Array, BoolArray, FloatArray, State
 from .buffer import Buffer
 from .environment import Environment, Expert
 from .experience import Batch, Experience, Rollout, Step, Transitions
-from .goals import GoalRule
-from .layout import Discrete, Field, Kind, Layout
-from .measures import Measure
-from .memory import FLOAT_BYTES, MemoryNeed, RunSize
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .settings import AgentSettings, Settings
-from .signature import Signature, random_actions
+from .signature import Discrete, Field, GoalRule, Kind, Layout, Measure, Signature, random_actions
 
 __all__ = [
-    "FLOAT_BYTES",
     "Agent",
     "AgentSettings",
     "Array",
@@ -38,11 +33,9 @@ __all__ = [
     "Kind",
     "Layout",
     "Measure",
-    "MemoryNeed",
     "Orchestrator",
     "Received",
     "Rollout",
-    "RunSize",
     "Settings",
     "Signature",
     "State",

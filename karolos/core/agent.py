@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import numpy as np
@@ -13,7 +13,6 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience
-from .memory import MemoryNeed, RunSize
 from .signature import Signature
 
 if TYPE_CHECKING:
@@ -51,11 +50,6 @@ class Agent(ABC, Generic[Experience]):
 
     @abstractmethod
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None: ...
-
-    @classmethod
-    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterable[MemoryNeed]:  # noqa: ARG003
-        """The memory that an agent with these settings certainly needs; by default nothing is known."""
-        return ()
 
     def check(self, buffer: Buffer[Any], *, demonstrations: bool) -> None:  # noqa: ARG002 (interface)
         """Check before a run that the agent can learn from this buffer.

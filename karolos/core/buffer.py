@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, Generic
 
 import numpy as np
@@ -13,7 +13,6 @@ from pydantic import BaseModel
 from ..errors import UsageError
 from .arrays import FloatArray, State
 from .experience import Experience, Transitions
-from .memory import MemoryNeed, RunSize
 from .signature import Signature
 
 if TYPE_CHECKING:
@@ -58,11 +57,6 @@ class Buffer(ABC, Generic[Experience]):
             environments: number of environments; `Transitions.environment` is in 0 .. environments - 1.
             discount: per environment step.
         """
-
-    @classmethod
-    def memory(cls, settings: Any, signature: Signature, size: RunSize) -> Iterable[MemoryNeed]:  # noqa: ARG003
-        """The memory that a buffer with these settings certainly needs; by default nothing is known."""
-        return ()
 
     @abstractmethod
     def add(self, transitions: Transitions) -> None:

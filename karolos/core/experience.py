@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from typing_extensions import TypeVar
 
 from .arrays import BoolArray, FloatArray
+from .signature import Signature
 
 
 class Step(NamedTuple):
@@ -25,6 +26,24 @@ class Step(NamedTuple):
     diverged: Any = False
     """Whether the simulation diverged (NaN, an object far away). The step is then truncated, has the reward 0,
     and repeats the other values of the last valid step. Training counts it and does not add it to the buffer."""
+
+    @classmethod
+    def zeros(cls, signature: Signature, environments: int) -> Step:
+        """The step of each environment, to be written to."""
+        vectors = signature.observation, signature.achieved_goal, signature.desired_goal
+        observation, achieved, desired = (np.zeros((environments, vector.size), np.float32) for vector in vectors)
+        terminated, truncated, success, diverged = np.zeros((4, environments), np.bool_)
+        reward = np.zeros(environments, np.float32)
+        return cls(observation, achieved, desired, reward, terminated, truncated, success, diverged)
+
+    def write(self, environments: NDArray[np.int64], step: Step) -> None:
+        """Overwrite the steps of these environments (n,) by the rows of another step."""
+        for array, rows in zip(self, step, strict=True):
+            array[environments] = rows
+
+    def select(self, which: NDArray[Any]) -> Step:
+        """The steps of the environments with these indices, or that are marked: a copy."""
+        return Step(*(array[which] for array in self))
 
 
 class Transitions(NamedTuple):

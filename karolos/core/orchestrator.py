@@ -42,6 +42,12 @@ class Received(NamedTuple):
         """The environments that lost their episodes, in ascending order."""
         return environments_of(self.failures)
 
+    def select(self, which: NDArray[np.bool_]) -> Received:
+        """The answers that are marked, (n,), without failures."""
+        if which.all():
+            return self._replace(failures=())
+        return Received(self.environment[which], self.step.select(which), self.updates[which])
+
 
 def environments_of(failures: Sequence[Failure]) -> NDArray[np.int64]:
     """The environments of these failures, in ascending order."""

@@ -1,15 +1,143 @@
-"""The signature of environments: layouts of their inputs and outputs."""
+"""The signature of environments: layouts of their inputs and outputs, the goal rule, and measures of episodes."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
-from .arrays import FloatArray
-from .goals import GoalRule
-from .layout import NO_FIELDS, Discrete, Layout
-from .measures import Measure
+from .arrays import Array, BoolArray, FloatArray
+
+Kind = Literal["scalar", "point", "vector", "axial", "rotation", "wrench"]
+
+
+@dataclass(frozen=True)
+class Field:
+    """Consecutive columns of a flat vector under one name."""
+
+    name: str
+    size: int
+    unit: str = "1"
+    critic_only: bool = False
+    """Whether a critic alone may observe it, so that a policy acts without. Such fields stand at the end."""
+    kind: Kind | tuple[Kind, ...] | None = None
+    """What becomes of it when everything is moved along the floor or seen in a mirror, see `augmentation`.
+
+    scalar: nothing. point: a place in the world (x, y or x, y, z). vector: a difference of places, a velocity, a force,
+    a direction. axial: a turn, an angular velocity, a torque (about x, y, z or about z alone). rotation: the first two
+    columns of a rotation matrix. wrench: a vector, then an axial one. Several: one after the other, of 3 columns, 6
+    columns (rotation, wrench) or one (scalar). None: it is not known.
+    """
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The fields of a flat float32 vector, in order."""
+
+    fields: tuple[Field, ...] = ()
+
+    def __post_init__(self) -> None:
+        names = [field.name for field in self.fields]
+        if len(set(names)) != len(names):
+            raise ValueError(f"a layout has a field name twice: {names}")
+
+    @property
+    def size(self) -> int:
+        return sum(field.size for field in self.fields)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(field.name for field in self.fields)
+
+    @property
+    def acting(self) -> Layout:
+        """What a policy observes: the fields that are not for a critic alone."""
+        return Layout(tuple(field for field in self.fields if not field.critic_only))
+
+    def slice(self, name: str) -> slice:
+        """The columns of the field. Raises KeyError for an unknown name."""
+        start = 0
+        for field in self.fields:
+            if field.name == name:
+                return slice(start, start + field.size)
+            start += field.size
+        raise KeyError(f"no field {name!r}; the layout has {', '.join(self.names) or 'none'}")
+
+    def column(self, place: int) -> str:
+        """What a column is called: its field, and its place there from 0."""
+        names = [f"{field.name}[{inside}]" for field in self.fields for inside in range(field.size)]
+        return names[place]
+
+    def __add__(self, other: Layout) -> Layout:
+        return Layout(self.fields + other.fields)
+
+
+NO_FIELDS = Layout()
+
+
+@dataclass(frozen=True)
+class Discrete:
+    """A discrete action set: an action is the index of one of these labels."""
+
+    labels: tuple[str, ...]
+
+    @property
+    def size(self) -> int:
+        """Columns of a stored action."""
+        return 1
+
+
+class GoalRule(ABC):
+    """Reward, success and termination as functions of achieved and desired goal.
+
+    The methods are pure and vectorised over leading axes. The object is picklable: environment, buffer and tests share
+    it. `achieved` may have more columns than `desired`; its first columns are then the goal (see hindsight).
+    """
+
+    reward_range: tuple[float, float] = (-np.inf, np.inf)
+    """The smallest and largest reward of one step."""
+
+    @abstractmethod
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        """Reward of a step that arrives at `achieved` (..., a) with the goal `desired` (..., d): shape (...)."""
+
+    @abstractmethod
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        """Whether the goal is reached: shape (...)."""
+
+    def terminated(self, achieved: Array, desired: Array) -> BoolArray:  # noqa: ARG002 (part of the interface)
+        """Whether the step terminates the episode: shape (...); False by default."""
+        return np.zeros(np.shape(achieved)[:-1], np.bool_)
+
+    def distance(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
+        """Distance to the goal in m: shape (...); inf where it is undefined. None: the rule has no distance."""
+        return None
+
+    def angle(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
+        """Angle to the goal's orientation in rad: shape (...). None: the rule has no orientation."""
+        return None
+
+
+Better = Literal["smaller", "larger"]
+
+
+@dataclass(frozen=True)
+class Measure:
+    """A number of an episode, known at its end; nan where it is undefined, as the time to success of a failure."""
+
+    name: str
+    unit: str
+    better: Better
+    """Which of two values is better."""
+    description: str
+    """One line."""
+
+    def text(self, value: float) -> str:
+        """A value for a person: "peak_force 21.9 N"."""
+        return f"{self.name} {value:.3g}{'' if self.unit == '1' else f' {self.unit}'}"
+
 
 SAME_LAYOUTS = "robots have the same layouts with cartesian control and the same task"
 """The hint for `layout_differences`."""

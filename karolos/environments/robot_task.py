@@ -17,7 +17,7 @@ from ..core.seeding import SeedTree
 from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
-from ..simulation.engines import Engine, check_engine, make_world
+from ..simulation.engines import ENGINES, Engine, make_world
 from ..simulation.geometry import rotated
 from ..simulation.interface import Camera, Robot, Stroke, Task, TaskNeeds, World
 from ..simulation.interface.engine import PHYSICS_RATE
@@ -73,7 +73,7 @@ class RobotTask(Environment):
             return self.model_dump(mode="json", exclude={"window"})
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
-        check_engine(settings.engine)
+        ENGINES[settings.engine].check({"environment.window": "window"} if settings.window else {})
         self.settings = settings
         self.robot = robot
         self.task = task
@@ -82,11 +82,7 @@ class RobotTask(Environment):
         """Number of episodes truncated because the physics diverged."""
         period = settings.substeps / PHYSICS_RATE
         robot.prepare(TaskNeeds(task.uses_gripper, period, task.control, task.protective_stop, task.fingers))
-        for setting in (*robot.mujoco_only, *task.mujoco_only) if settings.engine == "bullet" else ():
-            part: Any = robot if setting.startswith("robot.") else task
-            value = getattr(part.settings, setting.partition(".")[2], None)
-            what = f"PyBullet cannot do {value if isinstance(value, str) else 'this'}"
-            raise UsageError(what, setting=setting, hint="set environment.engine=mujoco")
+        ENGINES[settings.engine].check({**robot.engine_needs, **task.engine_needs})
         task.fit(robot)
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
@@ -149,8 +145,10 @@ class RobotTask(Environment):
     def _measures(self) -> tuple[Measure, ...]:
         rule, task = type(self.task.goal_rule), self.task
         measures = [TIME_TO_SUCCESS]
-        measures += [task.distance_measure] * (rule.distance is not GoalRule.distance)
-        measures += [FINAL_ANGLE] * (rule.angle is not GoalRule.angle)
+        if rule.distance is not GoalRule.distance:
+            measures.append(task.distance_measure)
+        if rule.angle is not GoalRule.angle:
+            measures.append(FINAL_ANGLE)
         measures += [*self.robot.measures, *task.measures]
         names = [measure.name for measure in measures]
         if twice := sorted({name for name in names if names.count(name) > 1}):

@@ -12,7 +12,6 @@ from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
 from ..registry import closest
-from ..simulation.engines import installed
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import RANDOMIZATION
 from ..training.assembly import located
@@ -20,6 +19,8 @@ from .policies import Policy, engine_of, environment_of, has_window, load_agent,
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
 """Keys of a spec that define the environment of a test. The other keys define the training."""
+PARTS = ("robot", "task")
+"""Those whose parameters an override may set like settings."""
 
 
 @dataclass(frozen=True)
@@ -115,29 +116,33 @@ def load_player(
 def engine_note(saved: Spec, played: Spec) -> str | None:
     """One line if a policy is played in another physics engine than it learned in; None otherwise."""
     own, other = engine_of(saved), engine_of(played)
-    if own is None or other in (own, None):
+    if own is None or other is None or other == own:
         return None
-    missing = "" if installed(own) else ", which is not installed"
-    return f"the policy learned in the engine {own}{missing}: it is played in {other}"
+    missing = "" if own.installed else ", which is not installed"
+    return f"the policy learned in the engine {own.name}{missing}: it is played in {other.name}"
 
 
 def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     """The keys of overrides that are parameters of the robot or task and not settings."""
-    names = [text for text in overrides if _key(text).removesuffix(".name") in ("robot", "task")]
-    spec = spec_from_dict(saved.dump(), names)
-    parts = (("robot", spec.robot), ("task", spec.task))
+    named = spec_from_dict(saved.dump(), [text for text in overrides if _key(text).removesuffix(".name") in PARTS])
+    parts = (("robot", named.robot), ("task", named.task))
     settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
-    with opened(spec.recipe(randomize=False)) as environment:
-        declared = environment.declared if isinstance(environment, RobotTask) else {}
-    drawn = set(declared) - settings
-    known = {*settings, *drawn, "robot.name", "task.name"}
-    for text in overrides:
-        key = _key(text)
-        setting = ".".join(key.split(".")[:2])  # robot.gripper of robot.gripper.name
-        unknown = key.startswith(("robot.", "task.")) and not {key, setting} & known
-        if unknown and (like := closest(key, drawn)):
+    settings |= {f"{part}.name" for part in PARTS}
+
+    def among(key: str, names: set[str]) -> bool:
+        return key in names or ".".join(key.split(".")[:2]) in names  # robot.gripper of robot.gripper.name
+
+    keys = {_key(text): text for text in overrides if _key(text).startswith(tuple(f"{part}." for part in PARTS))}
+    others = {key: text for key, text in keys.items() if not among(key, settings)}
+    if not others:
+        return set()
+    # Only robot and task together know their parameters.
+    with opened(named.recipe(randomize=False)) as environment:
+        drawn = set(environment.declared) - settings if isinstance(environment, RobotTask) else set()
+    for key, text in others.items():
+        if not among(key, drawn) and (like := closest(key, drawn)):
             raise UsageError("no such key", where=f"override {text}", setting=key, hint=f"did you mean {like}?")
-    return {_key(text) for text in overrides} & drawn
+    return set(others) & drawn
 
 
 def _key(override: str) -> str:

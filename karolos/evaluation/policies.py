@@ -23,7 +23,7 @@ from ..records import RunFolder, provenance
 from ..records.results import TestCounts
 from ..records.shipped import POLICY, is_shipped
 from ..registry import blaming, load
-from ..simulation.engines import WINDOWS, Engine, installed, installed_one
+from ..simulation.engines import ENGINES, PhysicsEngine, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store.query import find_folder, index
 
@@ -136,24 +136,25 @@ def spec_of(folder: RunFolder) -> Spec:
     return spec_from_dict(folder.spec())
 
 
-def engine_of(spec: Spec) -> Engine | None:
+def engine_of(spec: Spec) -> PhysicsEngine | None:
     """The physics engine of a robot with a task; None of another environment."""
     settings = spec.environment.settings
-    return settings.engine if isinstance(settings, RobotTask.Settings) else None
+    return ENGINES[settings.engine] if isinstance(settings, RobotTask.Settings) else None
 
 
 def playable(spec: Spec) -> Spec:
     """The spec, with another engine where its own is not installed."""
     engine = engine_of(spec)
-    if engine is None or installed(engine):
+    if engine is None or engine.installed:
         return spec
-    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine)})
+    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine.name)})
     return spec.model_copy(update={"environment": replace(spec.environment, settings=settings)})
 
 
 def has_window(spec: Spec) -> bool:
     """Whether the spec's environment can be watched in a window."""
-    return "window" in type(spec.environment.settings).model_fields and engine_of(spec) in (None, *WINDOWS)
+    engine = engine_of(spec)
+    return "window" in type(spec.environment.settings).model_fields and (engine is None or "window" in engine.abilities)
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:

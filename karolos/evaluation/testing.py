@@ -11,10 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import override
 
-from ..core import Agent, Array, Failure, Measure, Orchestrator, Received
+from ..core import Agent, Array, Failure, Measure, Orchestrator, Received, Step
 from ..core.seeding import SeedTree
 from ..records.results import MeasureValues, TestResult
-from ..training.episodes import empty_steps, write_rows
 
 
 @dataclass(frozen=True)
@@ -83,7 +82,7 @@ def play_episodes(
     distances = np.full(count, np.nan)
     rule, declared = orchestrator.signature.goal_rule, orchestrator.signature.measures
     measures = np.full((count, len(declared)), np.nan)
-    latest = empty_steps(orchestrator)
+    latest = Step.zeros(orchestrator.signature, size)
     completed = 0
     playing = np.arange(size)
     """The episode of each environment; an environment whose episode is `count` or more has finished."""
@@ -93,7 +92,7 @@ def play_episodes(
         while environments.size:
             orchestrator.reset(environments, [seeds[episode] for episode in playing[environments].tolist()])
             received = orchestrator.receive()
-            write_rows(latest, received.environment, received.step)
+            latest.write(received.environment, received.step)
             episodes = playing[received.environment]
             success_reset[episodes] = success_any[episodes] = success_end[episodes] = received.step.success
             returns[episodes] = lengths[episodes] = 0
@@ -121,7 +120,7 @@ def play_episodes(
         orchestrator.step(environments, actions)
         received = orchestrator.receive()
         step = received.step
-        write_rows(latest, received.environment, step)
+        latest.write(received.environment, step)
         episodes = playing[received.environment]
         returns[episodes] += step.reward
         lengths[episodes] += 1

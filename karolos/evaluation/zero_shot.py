@@ -121,8 +121,8 @@ def zero_shot_test(
 
     saved = load_agent(folder, checkpoint)
     here = playable(saved.spec)
-    if here is not saved.spec:
-        overrides = tuple(dict.fromkeys((f"environment.engine={engine_of(here)}", *overrides)))
+    if here is not saved.spec and (engine := engine_of(here)):
+        overrides = tuple(dict.fromkeys((f"environment.engine={engine.name}", *overrides)))
     spec = changed_spec(saved.spec, overrides, trained=saved.signature, randomize=randomize)
     if note := engine_note(saved.spec, spec):
         on_warning(note)

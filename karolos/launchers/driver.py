@@ -39,7 +39,7 @@ def driving(spec: Spec, jobs: int | None, listener: Listener, time_limit: float 
         yield Driver(launcher, listener, stop, retries=1)
 
 
-class Task(ABC):
+class FolderTask(ABC):
     """A folder that a process executes: a run, or a zero-shot test."""
 
     deaths = 0
@@ -72,7 +72,7 @@ class Job:
     halted: str | None = None
     """Why its tasks were stopped."""
 
-    def tasks(self) -> Iterable[Task]:
+    def tasks(self) -> Iterable[FolderTask]:
         """What there is to execute."""
         raise NotImplementedError
 
@@ -110,8 +110,8 @@ class Driver:
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:
         self._launcher, self._listener, self.stop, self._retries = launcher, listener, stop, retries
-        self._waiting: deque[tuple[Job, Task]] = deque()
-        self._active: dict[Path, tuple[Job, Task]] = {}
+        self._waiting: deque[tuple[Job, FolderTask]] = deque()
+        self._active: dict[Path, tuple[Job, FolderTask]] = {}
 
     def run(self, feed: Feed[Any]) -> None:
         """Run the feed's jobs until it has no more."""

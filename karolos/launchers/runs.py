@@ -35,7 +35,7 @@ from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
 from ..store import Store
 from ..store.query import prepare_index
-from .driver import Job, Task
+from .driver import FolderTask, Job
 
 Existing = Literal["ignore", "skip", "resume"]
 
@@ -113,7 +113,7 @@ class RunJob(Job):
         return states == ["finished"] * len(self.spec.seeds)
 
     @override
-    def tasks(self) -> Iterator[Task]:
+    def tasks(self) -> Iterator[FolderTask]:
         """The runs that are not finished."""
         for seed in self.spec.seeds:
             found = self.known.get(seed) or self.home.find(self.spec, seed)
@@ -136,7 +136,7 @@ class RunJob(Job):
         return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
 
 
-class RunTask(Task):
+class RunTask(FolderTask):
     """A run that a process executes. Turns what the process writes into the folder into events."""
 
     def __init__(self, job: RunJob, seed: int, found: RunFolder | None) -> None:

@@ -31,13 +31,6 @@ class Group(NamedTuple):
         return cls(ids, slice(int(ids[0]), int(ids[-1]) + 1) if consecutive else ids)
 
 
-class Answers(NamedTuple):
-    """Environments that completed their commands, and failures, whose environments have lost their episodes."""
-
-    done: list[Group]
-    failures: list[Failure]
-
-
 class Backend(ABC):
     """Runs commands on environments 0 .. n - 1. Inputs and results are in `arrays`."""
 
@@ -49,8 +42,11 @@ class Backend(ABC):
         """Start a command on idle environments. Does not wait and does not raise."""
 
     @abstractmethod
-    def collect(self, *, wait: bool = True) -> Answers:
-        """Answers since the last call. With `wait`, blocks for a limited time until there are some; may be empty."""
+    def collect(self, *, wait: bool = True) -> tuple[list[Group], list[Failure]]:
+        """The environments that have completed their commands since the last call, and those that failed.
+
+        With `wait`, blocks for a limited time until there are some; both may be empty.
+        """
 
     @abstractmethod
     def close(self) -> None: ...
@@ -74,7 +70,7 @@ class InProcess(Backend):
     def send(self, command: bytes, environments: Group) -> None:
         self._commands.append((command, environments))
 
-    def collect(self, *, wait: bool = True) -> Answers:  # noqa: ARG002 (commands run at once)
+    def collect(self, *, wait: bool = True) -> tuple[list[Group], list[Failure]]:  # noqa: ARG002 (runs at once)
         commands = [(index, command) for command, group in self._commands for index in group.ids.tolist()]
         self._commands.clear()
         done, failures = [], []
@@ -84,7 +80,7 @@ class InProcess(Backend):
                 done.append(index)
             except FAILURES as error:
                 failures.append(Failure(np.array([index]), as_karolos_error(error, f"environment {index}")))
-        return Answers([Group.of(done)], failures)
+        return [Group.of(done)], failures
 
     def close(self) -> None:
         self._open.close()

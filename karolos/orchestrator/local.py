@@ -164,27 +164,25 @@ class Local(Orchestrator):
     def _collect(self, backend: Backend, *, wait: bool) -> list[Failure]:
         """Record the answers of the backend. Raises the error of the first environment that failed too often."""
         try:
-            answers = backend.collect(wait=wait)
+            done, failures = backend.collect(wait=wait)
         except BaseException:  # an interrupt may have cut a message or a step short
             self.close()
             raise
-        for ids, rows in answers.done:
+        for ids, rows in done:
             self._busy[rows] = False
             self._answered[rows] = True
             self._pending -= ids.size
             self._ready += ids.size
-        if not answers.failures:
-            return answers.failures
-        for ids, *_ in answers.failures:
+        for ids, *_ in failures:
             self._pending -= int(self._busy[ids].sum())
             self._ready -= int(self._answered[ids].sum())
             self._busy[ids] = self._answered[ids] = False
             self._failed[ids] += 1
             self._any_failed = True
-        for ids, error, _ in answers.failures:
+        for ids, error, _ in failures:
             if (self._failed[ids] > self._settings.failures).any():
                 raise error
-        return answers.failures
+        return failures
 
     def _fetch(self, backend: Backend, failures: tuple[Failure, ...]) -> Received:
         """The answers that no `receive` has returned yet."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ..core import Failure, Signature
 from ..errors import KarolosError, MachineError, PluginError, WorkerError
-from .backend import Answers, Backend, Group, Ids
+from .backend import Backend, Group, Ids
 from .executor import RESET, STEP
 from .shared_memory import EnvironmentArrays
 from .worker import DONE, command_message
@@ -143,7 +143,9 @@ class WorkerPool(Backend):
         """Whether the signature is known and the arrays are allocated."""
         self._workers: list[EnvironmentWorker] = []
         self._any_lost = False
-        self._undelivered: list[Failure] = []
+        self._done: list[Group] = []
+        self._failures: list[Failure] = []
+        """What `collect` has not returned yet."""
         self._plans: dict[bytes, list[tuple[Channel, Group, dict[bytes, bytes]]]] = {}
         try:
             for number in range(len(layout)):
@@ -177,7 +179,8 @@ class WorkerPool(Backend):
         """Wait until every environment is built. Raises the error of building one, or of a worker that ends again."""
         losses = [0] * len(self._workers)
         while not all(channel.ready for worker in self._workers for channel in worker.channels):
-            for failure in self.collect().failures:
+            _, failed = self.collect()
+            for failure in failed:
                 number, _ = self._places[failure.environment[0] // self._environments_each]
                 if not failure.lost or losses[number] == failures:
                     raise failure.error
@@ -196,7 +199,7 @@ class WorkerPool(Backend):
             plan = self._plans[key] = self._plan(environments.ids)
         for channel, group, messages in plan:
             if channel.worker.lost:
-                self._undelivered.append(Failure(group.ids, channel.worker.lost, lost=True))
+                self._failures.append(Failure(group.ids, channel.worker.lost, lost=True))
             else:
                 channel.send(messages[command], group)
 
@@ -220,35 +223,35 @@ class WorkerPool(Backend):
         self._plans.clear()
         self._any_lost = any(worker.lost for worker in self._workers)
 
-    def collect(self, *, wait: bool = True) -> Answers:
-        answers = Answers([], self._undelivered)
-        self._undelivered = []
-        for channel in self._readable(self._check_interval if wait and not answers.failures else 0.0):
+    def collect(self, *, wait: bool = True) -> tuple[list[Group], list[Failure]]:
+        for channel in self._readable(self._check_interval if wait and not self._failures else 0.0):
             if not channel.worker.lost:  # an earlier channel of this worker may have reported its end
-                self._read(channel, answers)
+                self._read(channel)
         now = monotonic()
         if now >= self._next_check:
             self._next_check = now + self._check_interval
-            self._check_for_hangs(now, answers)
-        return answers
+            self._check_for_hangs(now)
+        found = self._done, self._failures
+        self._done, self._failures = [], []
+        return found
 
-    def _read(self, channel: Channel, answers: Answers) -> None:
+    def _read(self, channel: Channel) -> None:
         message = channel.receive()
         if message is None:
-            self._lose(channel.worker, answers)
+            self._lose(channel.worker)
         elif not channel.ready:
-            self._connect(channel, message, answers)
+            self._connect(channel, message)
         elif message[:1] == DONE:
-            answers.done.append(channel.pending.popleft())
+            self._done.append(channel.pending.popleft())
         else:
             failed = pickle.loads(message[1:])
-            answers.failures.extend(Failure(np.array([index]), error) for index, error in failed)
-            answers.done.append(Group.of(np.setdiff1d(channel.pending.popleft().ids, [index for index, _ in failed])))
+            self._failures.extend(Failure(np.array([index]), error) for index, error in failed)
+            self._done.append(Group.of(np.setdiff1d(channel.pending.popleft().ids, [index for index, _ in failed])))
 
-    def _connect(self, channel: Channel, message: bytes, answers: Answers) -> None:
+    def _connect(self, channel: Channel, message: bytes) -> None:
         """Handle a channel's first message: the signature of its environments, or why they could not be built."""
         if message[:1] != DONE:
-            self._lose(channel.worker, answers, pickle.loads(message[1:])[0][1])
+            self._lose(channel.worker, pickle.loads(message[1:])[0][1])
             return
         signature: Signature = pickle.loads(message[1:])
         if not self._connected:
@@ -259,13 +262,13 @@ class WorkerPool(Backend):
                 setting="orchestrator",
                 hint="an environment's signature must depend on its settings alone",
             )
-            self._lose(channel.worker, answers, error)
+            self._lose(channel.worker, error)
             return
         with suppress(ConnectionError):  # `_readable` reports a worker that has ended
             self._share(channel)
         channel.open()
 
-    def _check_for_hangs(self, now: float, answers: Answers) -> None:
+    def _check_for_hangs(self, now: float) -> None:
         for worker in self._workers:
             for channel in worker.channels if not worker.lost else []:
                 stalled = channel.stalled_seconds(self.arrays.commands if channel.ready else None, now)
@@ -276,18 +279,16 @@ class WorkerPool(Backend):
                 if not channel.ready:
                     what = f"building an environment took longer than {BUILD_TIMEOUT:g} s"
                     hint = "or use fewer environments"
-                self._lose(worker, answers, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
+                self._lose(worker, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
                 break
 
-    def _lose(
-        self, worker: EnvironmentWorker, answers: Answers, error: KarolosError | None = None, seconds: float = 1.0
-    ) -> None:
+    def _lose(self, worker: EnvironmentWorker, error: KarolosError | None = None, seconds: float = 1.0) -> None:
         """Stop a worker and report the failure of its environments. It has `seconds` to end by itself."""
         worker.close_connections()
         how = worker.end(seconds)  # the connection of a process closes shortly before the exit code is available
         worker.lost = error or worker.error(*how)
         self._any_lost = True
-        answers.failures.append(Failure(worker.environments, worker.lost, lost=error is None))
+        self._failures.append(Failure(worker.environments, worker.lost, lost=error is None))
 
     def close(self) -> None:
         alive = [worker for worker in self._workers if not worker.lost]

@@ -54,12 +54,11 @@ class EnvironmentArrays:
 
 def _columns(signature: Signature, environments: int) -> list[tuple[type[np.generic], tuple[int, ...]]]:
     """Type and shape of each array: seed, action, parameters, measures and commands, then those of a Step."""
-    count, reward, flag = ((kind, (environments,)) for kind in (np.uint64, np.float32, np.bool_))
-    vectors = (signature.action, signature.parameters, signature.observation)
-    goals = (signature.achieved_goal, signature.desired_goal)
-    action, parameters, *step = ((np.float32, (environments, vector.size)) for vector in (*vectors, *goals))
-    measures = np.float32, (environments, len(signature.measures))
-    return [count, action, parameters, measures, count, *step, reward, flag, flag, flag, flag]
+    count = np.uint64, (environments,)
+    widths = signature.action.size, signature.parameters.size, len(signature.measures)
+    action, parameters, measures = ((np.float32, (environments, width)) for width in widths)
+    step = ((array.dtype.type, array.shape) for array in Step.zeros(signature, environments))
+    return [count, action, parameters, measures, count, *step]
 
 
 def _bytes(kind: type[np.generic], shape: tuple[int, ...]) -> int:

@@ -21,7 +21,7 @@ from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
 from ..simulation.interface import Body, Cup, Gripper, JointLimits, TaskNeeds, World
-from ..simulation.interface.engine import OPENS
+from ..simulation.interface.engine import OPENS, Ability
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
 from .control import CONTROLS, ROTATION, Control, Way
@@ -155,8 +155,11 @@ class Arm:
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
-        self.mujoco_only = ("robot.control",) * (mode == "impedance")
-        self.mujoco_only += ("robot.gripper",) * isinstance(self._grip, Cup)
+        self.engine_needs: dict[str, Ability] = {}
+        if mode == "impedance":
+            self.engine_needs["robot.control"] = "impedance"
+        if isinstance(self._grip, Cup):
+            self.engine_needs["robot.gripper"] = "suction"
         self._control: Control = CONTROLS[mode](self)
         self._observed = list(dict.fromkeys(self.settings.observe))
         if ROTATION in self._control.observed and "rotation" in self._observed:
@@ -173,7 +176,7 @@ class Arm:
         parameters = {"joint_damping": damping, **ARM_PARAMETERS}
         drawn = drawn_settings(self.settings)
         delay = drawn.pop("gripper_delay")
-        if "robot.control" in self.mujoco_only:
+        if self.mode == "impedance":
             del parameters["motor_gain"]  # nothing follows speeds
             if self.settings.stiffness_range is not None:
                 del drawn["stiffness"]  # actions choose it
@@ -228,11 +231,9 @@ class Arm:
 
     @property
     def measures(self) -> tuple[Measure, ...]:
-        return (
-            *ARM_MEASURES,
-            *[PAD_FORCE] * isinstance(self._grip, Gripper),
-            *[STOPS] * (self._guard is not None),
-        )
+        pads = (PAD_FORCE,) if isinstance(self._grip, Gripper) else ()
+        stops = (STOPS,) if self._guard is not None else ()
+        return (*ARM_MEASURES, *pads, *stops)
 
     def measure(self) -> dict[str, float]:
         forces, loads = self.world.largest_forces(self.body), self.motors.loads()
@@ -288,7 +289,7 @@ class Arm:
 
     def _set_joint_friction(self, fraction: float) -> None:
         self.motors.set_joint_friction(fraction)
-        if self._guard is not None and "robot.control" not in self.mujoco_only:  # springs move what friction holds
+        if self._guard is not None and self.mode != "impedance":  # springs move what friction holds
             self._guard.available = 1 - fraction
 
     def value(self, name: str) -> float:

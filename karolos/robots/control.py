@@ -32,7 +32,7 @@ SPIN = Field("tool_angular_velocity", 3, "rad/s", kind="axial")
 CHANGE = Field("tool_position_change", 3, kind="vector")
 
 
-class Arm(Protocol):
+class ControlledArm(Protocol):
     """What a control mode needs of an arm, see `arm.Arm`."""
 
     settings: ArmSettings
@@ -87,7 +87,7 @@ class Control:
     observed_joints: tuple[Field, ...] = ()
     action: tuple[Field, ...]
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ControlledArm) -> None:
         self.arm = arm
 
     @property
@@ -150,7 +150,7 @@ class JointControl(Control):
 
     turns_joints = True
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
         size = arm.chain.size
         self.action = (Field("joint_changes", size),)
@@ -173,7 +173,7 @@ class CartesianControl(Control):
 
     turns_tool = False
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
         self._yaws = arm.settings.yaw
         self.action = (CHANGE,)
@@ -274,7 +274,7 @@ class ImpedanceControl(PoseControl):
 
     observed = (*PoseControl.observed, Field("set_point", 6, "m, rad", kind="wrench"))
 
-    def __init__(self, arm: Arm) -> None:
+    def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
         if arm.settings.stiffness_range is not None:
             self.action = (*PoseControl.action, Field("stiffness", 1, kind="scalar"))

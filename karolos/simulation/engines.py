@@ -1,44 +1,71 @@
-"""Which physics engines are installed, and worlds of a named one."""
+"""The physics engines: what each needs and can do, and worlds of a named one."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any, Literal, get_args
+from typing import Any, Literal, NamedTuple
 
 from ..errors import UsageError
 from .interface import World
+from .interface.engine import Ability
 
 Engine = Literal["mujoco", "bullet"]
-ENGINE_MODULES: dict[Engine, str] = {"mujoco": "mujoco", "bullet": "pybullet"}
-"""The module that each engine needs."""
-ENGINE_PACKAGES: dict[Engine, str] = {"mujoco": "mujoco-core", "bullet": "pybullet"}
-"""The package that it comes in."""
-WINDOWS: tuple[Engine, ...] = ("bullet",)
-"""Engines that show their world in a window. Each makes pictures."""
+CALLED: dict[Ability, str] = {
+    "impedance": "impedance control",
+    "suction": "suction",
+    "materials": "stiffness, damping or restitution of single bodies",
+    "window": "window",
+}
 
 
-def installed(engine: Engine) -> bool:
-    return find_spec(ENGINE_MODULES[engine]) is not None
+class PhysicsEngine(NamedTuple):
+    """What there is to know of an engine without its world."""
+
+    name: Engine
+    module: str
+    """That it needs."""
+    package: str
+    """That it comes in."""
+    abilities: frozenset[Ability]
+
+    @property
+    def installed(self) -> bool:
+        return find_spec(self.module) is not None
+
+    def check(self, needs: Mapping[str, Ability]) -> None:
+        """Raise UsageError when the engine is not installed, or lacks an ability that a setting needs."""
+        if not self.installed:
+            raise UsageError(
+                f"the engine {self.name} is not installed",
+                setting="environment.engine",
+                hint=f"pip install {self.package}, or choose another engine",
+            )
+        for setting, ability in needs.items():
+            if ability not in self.abilities:
+                raise self.lacks(ability, setting)
+
+    def lacks(self, ability: Ability, setting: str = "environment.engine") -> UsageError:
+        """The error of an engine without this ability."""
+        able = next(engine.name for engine in ENGINES.values() if ability in engine.abilities)
+        what = f"the engine {self.name} has no {CALLED[ability]}"
+        return UsageError(what, setting=setting, hint=f"set environment.engine={able}")
+
+
+MUJOCO = PhysicsEngine("mujoco", "mujoco", "mujoco-core", frozenset({"impedance", "suction", "materials"}))
+BULLET = PhysicsEngine("bullet", "pybullet", "pybullet", frozenset({"window"}))
+ENGINES: dict[Engine, PhysicsEngine] = {"mujoco": MUJOCO, "bullet": BULLET}
 
 
 def installed_one(wanted: Engine) -> Engine:
     """The wanted engine; another one where it is not installed."""
-    return next(filter(installed, (wanted, *get_args(Engine))), wanted)
-
-
-def check_engine(engine: Engine) -> None:
-    """Raise UsageError when the engine is not installed."""
-    if not installed(engine):
-        raise UsageError(
-            f"the engine {engine} is not installed",
-            setting="environment.engine",
-            hint=f"pip install {ENGINE_PACKAGES[engine]}, or choose another engine",
-        )
+    return next((name for name in (wanted, *ENGINES) if ENGINES[name].installed), wanted)
 
 
 def make_world(engine: Engine, **settings: Any) -> World:
-    """A new world. `settings`: those of the engine's class `World`."""
-    check_engine(engine)
-    world: World = import_module(f".{engine}.world", __package__).World(**settings)
+    """A new world. `settings`: those of its class, e.g. `MujocoWorld`."""
+    ENGINES[engine].check({})
+    module = import_module(f".{engine}.world", __package__)
+    world: World = getattr(module, f"{engine.title()}World")(**settings)
     return world

@@ -60,7 +60,7 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     """
     root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag == "mujoco":
-        return mechanism(list(_Reader(path, collision, root, lines).links()))
+        return mechanism(list(_MjcfReader(path, collision, root, lines).links()))
     description = urdf.load(path, driven=False)
     for joint in description.joints:
         if joint.mimic is not None:
@@ -93,7 +93,7 @@ def hulls(robot: Element) -> dict[str, str]:
     return found
 
 
-class _Reader:
+class _MjcfReader:
     """Reads the links of an MJCF file."""
 
     def __init__(

@@ -295,7 +295,7 @@ def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Probl
     Raises:
         SpecError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """
-    reader = _Reader(source, rank)
+    reader = _YamlReader(source, rank)
     if len(text) > MAX_CHARACTERS:
         reader.fail(None, f"longer than {MAX_CHARACTERS // 1024} kB")
     try:
@@ -312,7 +312,7 @@ def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Probl
 
 
 @dataclass
-class _Reader:
+class _YamlReader:
     """Converts PyYAML's nodes and marks."""
 
     source: str
@@ -376,7 +376,7 @@ class _Reader:
 class _Loader(yaml.SafeLoader):
     """Composes nodes, whose tags say whether the text has one, and refuses depth before Python's recursion ends."""
 
-    def __init__(self, text: str, reader: _Reader) -> None:
+    def __init__(self, text: str, reader: _YamlReader) -> None:
         super().__init__(text)
         self._reader, self._depth = reader, 0
 

@@ -14,7 +14,7 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Box, Cup, Gripper, RobotView, Task, World
-from ..simulation.interface.engine import Material
+from ..simulation.interface.engine import Ability, Material
 from ..simulation.shapes import Cuboid, Shape
 from .force_penalty import ForcePenalty
 
@@ -173,8 +173,8 @@ class CubeTask(Task):
             self.extra_reward_range = -settings.force_penalty.most, 0.0
 
     @property
-    def mujoco_only(self) -> tuple[str, ...]:
-        return () if self.settings.object_stiffness is None else ("task.object_stiffness",)
+    def engine_needs(self) -> dict[str, Ability]:
+        return {} if self.settings.object_stiffness is None else {"task.object_stiffness": "materials"}
 
     def build(self, world: World) -> None:
         self.cubes = [self.object_class(self.settings, world, colour) for colour in self.colours[: self.number]]

@@ -425,7 +425,7 @@ def peg(shape: str) -> list[Shape]:
     return [Cuboid((PLUG_LENGTH, width, PEG_LENGTH)), ridge]
 
 
-class _Side(NamedTuple):
+class _Face(NamedTuple):
     """A side of a hole: a line as seen from above."""
 
     turn: Quaternion
@@ -438,7 +438,7 @@ class _Side(NamedTuple):
     """In m."""
 
 
-def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Side]:
+def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Face]:
     """The sides of a hole.
 
     Args:
@@ -451,23 +451,23 @@ def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Side]:
     if settings.shape != "connector":
         count = 4 if settings.shape == "square" else SIDES
         length = 2 * (half + wall) * tan(pi / count)
-        return [_Side(_about_z(2 * pi * side / count), half, 0.0, length) for side in range(count)]
+        return [_Face(_about_z(2 * pi * side / count), half, 0.0, length) for side in range(count)]
     end, key = (PLUG_LENGTH + settings.play) / 2 + wider, (RIDGE_WIDTH + settings.play) / 2 + wider
     found = [
-        _Side(_about_z(pi), end, 0.0, 2 * (half + wall)),
-        _Side(_about_z(0.0), end + RIDGE, 0.0, 2 * (key + wall)),
+        _Face(_about_z(pi), end, 0.0, 2 * (half + wall)),
+        _Face(_about_z(0.0), end + RIDGE, 0.0, 2 * (key + wall)),
     ]
     for sign in (1, -1):
         aside = _about_z(sign * pi / 2)
         found += [
-            _Side(aside, half, 0.0, 2 * (end + wall)),
-            _Side(_about_z(0.0), end, sign * (key + half + wall) / 2, half + wall - key),  # beside the keyway
-            _Side(aside, key, -sign * (end + RIDGE / 2), 0.0 if wall else RIDGE),  # in it; its wall is that beside it
+            _Face(aside, half, 0.0, 2 * (end + wall)),
+            _Face(_about_z(0.0), end, sign * (key + half + wall) / 2, half + wall - key),  # beside the keyway
+            _Face(aside, key, -sign * (end + RIDGE / 2), 0.0 if wall else RIDGE),  # in it; its wall is that beside it
         ]
     return found
 
 
-def _wall(side: _Side, low: float, high: float) -> Shape:
+def _wall(side: _Face, low: float, high: float) -> Shape:
     """The wall behind a side, between two heights in m."""
     size = WALL, side.length, high - low
     place = side.inner + WALL / 2, side.along, (low + high) / 2

@@ -21,7 +21,7 @@ from ..core import (
     random_actions,
 )
 from ..core.seeding import SeedTree, generator_state, load_generator_state
-from .episodes import Episode, Episodes, empty_steps, select_rows, write_rows
+from .episodes import Episode, Episodes
 
 
 class Collector:
@@ -56,7 +56,7 @@ class Collector:
         self.strayed: tuple[int, ...] = ()
         """Environments whose episodes, played again by `load_state`, gave another observation than they had."""
         self._running = Episodes(orchestrator, seeds, replay=at_least is None)
-        self._latest = empty_steps(orchestrator)
+        self._latest = Step.zeros(signature, size)
         """The latest step of every environment."""
         self._all = np.arange(size)
         self._ready = self._all
@@ -141,12 +141,11 @@ class Collector:
             return ()
         ready, over, finished = [self._ready], [], []
         for received in answers:
-            stepped = received.updates >= 0  # the other answers are to a reset
-            environments, after = select_rows(received, stepped)
-            self._store(environments, after)
-            self._lags.append(updates - received.updates[stepped])
-            self.steps += environments.size
-            write_rows(self._latest, received.environment, received.step)
+            stepped = received.select(received.updates >= 0)  # the other answers are to a reset
+            self._store(stepped.environment, stepped.step)
+            self._lags.append(updates - stepped.updates)
+            self.steps += stepped.environment.size
+            self._latest.write(received.environment, received.step)
             ends = received.step.terminated | received.step.truncated
             ready.append(received.environment[~ends])
             over.append(received.environment[ends])
@@ -180,25 +179,25 @@ class Collector:
     def _warmed_up(self) -> bool:
         return self._agent.on_policy or self.episodes >= self._warmup_episodes
 
-    def _store(self, environments: np.ndarray, after: Step) -> None:
-        """Store the transitions of these environments from their latest step to `after`, unless they diverged."""
-        valid, before = ~after.diverged, self._latest
-        diverged = environments[after.diverged]
+    def _store(self, environments: np.ndarray, step: Step) -> None:
+        """Store the transitions of these environments from their latest step to this one, unless they diverged."""
+        valid, latest = ~step.diverged, self._latest
+        diverged = environments[step.diverged]
         if diverged.size:
             self._buffer.cut(diverged)
         if not valid.any():
             return
         transitions = Transitions(
             environment=environments,
-            observation=before.observation[environments],
-            achieved_goal=before.achieved_goal[environments],
-            desired_goal=before.desired_goal[environments],
+            observation=latest.observation[environments],
+            achieved_goal=latest.achieved_goal[environments],
+            desired_goal=latest.desired_goal[environments],
             action=self._actions[environments],
-            reward=after.reward,
-            next_observation=after.observation,
-            next_achieved_goal=after.achieved_goal,
-            terminated=after.terminated,
-            truncated=after.truncated,
+            reward=step.reward,
+            next_observation=step.observation,
+            next_achieved_goal=step.achieved_goal,
+            terminated=step.terminated,
+            truncated=step.truncated,
         )
         self._buffer.add(transitions if valid.all() else Transitions(*(field[valid] for field in transitions)))
 

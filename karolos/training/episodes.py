@@ -99,14 +99,13 @@ class Episodes:
     def _with_replayed(self, received: Received) -> Received:
         """Play the episodes of lost workers again, and add the answers to the commands that they had."""
         updates, steps = self._updates.copy(), self._steps + (self._updates >= 0)
-        latest = empty_steps(self._orchestrator)
+        latest = Step.zeros(self._orchestrator.signature, self._orchestrator.size)
         failures = self._replay_lost(received.failures, steps, latest)
-        write_rows(latest, received.environment, received.step)
+        latest.write(received.environment, received.step)
         answered = np.setdiff1d(np.flatnonzero(updates > IDLE), environments_of(failures))
         updates[received.environment] = received.updates
         environments = np.union1d(received.environment, answered)
-        rows = Step(*(field[environments] for field in latest))
-        return Received(environments, rows, updates[environments], failures)
+        return Received(environments, latest.select(environments), updates[environments], failures)
 
     def _replay_lost(self, failures: tuple[Failure, ...], steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
         """Play the episodes that these failures lost with a worker again; returns the failures that remain.
@@ -130,7 +129,7 @@ class Episodes:
         self._reset(environments)
         for step in range(int(steps[environments].max()) + 1):
             received = self._counted(self._orchestrator.receive())
-            write_rows(latest, received.environment, received.step)
+            latest.write(received.environment, received.step)
             failures += received.failures
             playing = np.setdiff1d(environments[steps[environments] > step], environments_of(failures))
             if playing.size:
@@ -146,7 +145,8 @@ class Episodes:
             for flags in (self._any, self._end, self._reset_success):
                 flags[environments] = received.step.success[reset]
             self._parameters[environments] = self._orchestrator.parameters(environments)
-        self._count(*select_rows(received, ~reset))
+        stepped = received.select(~reset)
+        self._count(stepped.environment, stepped.step)
         return received
 
     def _count(self, environments: np.ndarray, step: Step) -> None:
@@ -205,35 +205,3 @@ class Episodes:
             failures = self._replay_lost(failures, steps, latest)
         if failures:
             raise failures[0].error
-
-
-def empty_steps(orchestrator: Orchestrator) -> Step:
-    """A step of zeros for every environment, to be overwritten by `write_rows`."""
-    size, signature = orchestrator.size, orchestrator.signature
-
-    def zeros(columns: int) -> FloatArray:
-        return np.zeros((size, columns), np.float32)
-
-    return Step(
-        observation=zeros(signature.observation.size),
-        achieved_goal=zeros(signature.achieved_goal.size),
-        desired_goal=zeros(signature.desired_goal.size),
-        reward=np.zeros(size, np.float32),
-        terminated=np.zeros(size, np.bool_),
-        truncated=np.zeros(size, np.bool_),
-        success=np.zeros(size, np.bool_),
-        diverged=np.zeros(size, np.bool_),
-    )
-
-
-def write_rows(steps: Step, environments: np.ndarray, rows: Step) -> None:
-    """Overwrite the rows of these environments in `steps`."""
-    for field, new in zip(steps, rows, strict=True):
-        field[environments] = new
-
-
-def select_rows(received: Received, which: np.ndarray) -> tuple[np.ndarray, Step]:
-    """The environments and steps of the rows marked in `which`, (n,) bool."""
-    if which.all():
-        return received.environment, received.step
-    return received.environment[which], Step(*(field[which] for field in received.step))

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
 
-from ..core import FLOAT_BYTES, MemoryNeed, RunSize, Signature
+from ..buffers.storage import transition_layout
+from ..core import Signature
 from ..errors import UsageError
 from ..registry import load
 from ..specification import Spec
 from ..system import memory
 
+FLOAT_BYTES = 4
+"""Size of a float32."""
 WORKER_BYTES = 30 << 20
 """Memory of a worker process, beside what it shares with the others."""
 
@@ -33,18 +38,49 @@ def check_memory(spec: Spec, signature: Signature, jobs: int = 1) -> None:
     raise UsageError(f"{what}, and this machine has {_size(available)}", setting=largest.setting, hint=hint)
 
 
+class MemoryNeed(NamedTuple):
+    """Memory that a part of a run certainly needs."""
+
+    bytes: int
+    what: str
+    """What needs it, e.g. "a buffer of 1,000 transitions"."""
+    setting: str
+    """The setting that makes it large, e.g. "buffer.capacity"."""
+
+
 def _needs(spec: Spec, signature: Signature) -> Iterator[MemoryNeed]:
-    agent, buffer, demonstrations = spec.agent, spec.buffer, spec.demonstrations
-    episodes = demonstrations.episodes if demonstrations is not None else 0
-    size = RunSize(environments_of(spec), spec.training.steps, spec.training.batch_size, episodes)
+    """What parts need by their settings `processes`, `hidden`, `capacity` and `rollout`; others are not known."""
+    training, environments = spec.training, environments_of(spec)
+
     processes = getattr(spec.orchestrator.settings, "processes", 0)
     what = f"training and testing with {processes} worker processes each"
     yield MemoryNeed(2 * processes * WORKER_BYTES, what, "orchestrator.processes")
-    actions = 2 * size.environments * signature.max_steps * signature.action.size  # and a copy in a checkpoint
-    what = f"the actions of {size.environments:,} running episodes of up to {signature.max_steps:,} steps"
+    actions = 2 * environments * signature.max_steps * signature.action.size  # and a copy in a checkpoint
+    what = f"the actions of {environments:,} running episodes of up to {signature.max_steps:,} steps"
     yield MemoryNeed(actions * FLOAT_BYTES, what, "orchestrator.environments")
-    yield from load("agents", agent.name).memory(agent.settings, signature, size)
-    yield from load("buffers", buffer.name).memory(buffer.settings, signature, size)
+
+    agent, hidden = load("agents", spec.agent.name), getattr(spec.agent.settings, "hidden", ())
+    batch = f"a batch of {training.batch_size:,} transitions"
+    if isinstance(hidden, tuple) and hidden:
+        inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
+        weights = sum((before + 1) * after for before, after in pairwise((inputs, *hidden, 1)))
+        what = f"an agent with networks of {' x '.join(map(str, hidden))} units"
+        yield MemoryNeed(getattr(agent, "arrays", 1) * weights * FLOAT_BYTES, what, "agent.hidden")
+        activations = 0 if agent.on_policy else 2 * training.batch_size * sum(hidden)
+        yield MemoryNeed(activations * FLOAT_BYTES, batch, "training.batch_size")
+
+    row, settings = transition_layout(signature).size * FLOAT_BYTES, spec.buffer.settings
+    if isinstance(capacity := getattr(settings, "capacity", None), int):
+        stored = max(capacity, 2 * min(capacity, training.steps))  # a checkpoint copies what is stored
+        yield MemoryNeed(stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity")
+        yield MemoryNeed(training.batch_size * row, batch, "training.batch_size")
+    if isinstance(rollout := getattr(settings, "rollout", None), int):
+        what = f"a rollout of {rollout:,} steps of {environments:,} environments"
+        yield MemoryNeed(rollout * environments * row, what, "buffer.rollout")
+    if spec.demonstrations is not None:
+        episodes = spec.demonstrations.episodes
+        what = f"a buffer for {episodes:,} demonstrations of up to {signature.max_steps:,} steps"
+        yield MemoryNeed(2 * episodes * signature.max_steps * row, what, "demonstrations.episodes")
 
 
 def _size(count: int) -> str:

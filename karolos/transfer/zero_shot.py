@@ -13,7 +13,7 @@ from .. import system
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import RunEvent
 from ..files import write_json
-from ..launchers.driver import Job, Task
+from ..launchers.driver import FolderTask, Job
 from ..launchers.interface import LAUNCH, STOP
 from ..records import provenance
 from ..records.transfer_results import TransferResult
@@ -32,7 +32,7 @@ class ZeroShotJob(Job):
     heard: Callable[[Path, TransferResult | None, str | None], None]
 
     @override
-    def tasks(self) -> Iterator[Task]:
+    def tasks(self) -> Iterator[FolderTask]:
         for folder, test in self.tests.items():
             if (known := test.result()) is not None:
                 self.heard(folder, known, None)
@@ -41,7 +41,7 @@ class ZeroShotJob(Job):
 
 
 @dataclass(eq=False)
-class _ZeroShotTask(Task):
+class _ZeroShotTask(FolderTask):
     job: ZeroShotJob
     folder: Path
     test: ZeroShotTest

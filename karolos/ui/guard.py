@@ -24,7 +24,7 @@ HEADERS = {
 """Of every answer that has no others. Matplotlib's figures have styles inside them."""
 
 
-class Guard:
+class RequestGuard:
     """Refuses requests of strangers before the application sees them.
 
     * A request names a host that is ours: a page whose name was bound to this address later reads nothing.

@@ -15,7 +15,7 @@ from ..errors import MachineError
 from ..store import Store
 from ..system import listen_alone
 from .app import Application
-from .guard import LOOPBACK, Guard
+from .guard import LOOPBACK, RequestGuard
 
 
 def serve(
@@ -65,4 +65,4 @@ def serve(
 def guarded(application: Application, host: str, port: int, token: str | None) -> ASGIApp:
     """The application behind its guard."""
     own = () if host in LOOPBACK else (host.lower(), socket.gethostname().lower(), socket.getfqdn().lower())
-    return Guard(application.asgi(), hosts={*LOOPBACK, *own}, token=token, cookie=f"karolos_{port}")
+    return RequestGuard(application.asgi(), hosts={*LOOPBACK, *own}, token=token, cookie=f"karolos_{port}")

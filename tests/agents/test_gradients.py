@@ -16,7 +16,7 @@ from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import TensorBatch, tensor_batch
 from karolos.agents.networks import MLP
-from karolos.agents.ppo import PPO, Gaussian, RolloutRows
+from karolos.agents.ppo import PPO, Gaussian, RolloutBatch
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Batch, Discrete, Signature
@@ -90,7 +90,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     if settings.critic is None:
         agent.generator.set_state(before)
-        targets = agent.targets(inputs, agent.sample(inputs.both_inputs).action[:64])
+        targets = agent.targets(inputs, agent.draw(inputs.both_inputs).action[:64])
         expected = critics_gradient(agent.critic, inputs, targets)
         torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
@@ -158,7 +158,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
     inputs = noise(64, 5)
     agent.policy.vector.add_(noise(len(agent.policy.vector)), alpha=0.1)  # away from even odds and zero means
     action = torch.randint(3, (64, 1), generator=generator).float() if discrete else noise(64, 2)
-    taken = RolloutRows(
+    taken = RolloutBatch(
         inputs=inputs,
         action=action,
         log_probability=agent.distribution.log_probability(agent.policy(inputs), action) + 0.3 * noise(64),

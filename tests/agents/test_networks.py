@@ -8,7 +8,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
-from karolos.agents.networks import MLP, Shape
+from karolos.agents.networks import MLP, NetworkShape
 from karolos.agents.optimisation import Adam
 from karolos.errors import UsageError
 
@@ -45,7 +45,7 @@ def flat_gradient(layers: nn.Sequential) -> Tensor:
 def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
     sizes: tuple[int, ...], layer_norm: bool
 ) -> None:
-    network = MLP(Shape(sizes, members=2, layer_norm=layer_norm), generator(), "cpu")
+    network = MLP(NetworkShape(sizes, members=2, layer_norm=layer_norm), generator(), "cpu")
     x = torch.randn((65, sizes[0]), generator=generator(1))
     pull = torch.randn((2, 65, sizes[-1]), generator=generator(2))
     outputs, tapes = network.forward(x)
@@ -71,7 +71,7 @@ def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
 @pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("low", [False, True])
 def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool, layer_norm: bool) -> None:
-    network = MLP(Shape(SIZES, bfloat16=low, layer_norm=layer_norm), generator(), "cpu")
+    network = MLP(NetworkShape(SIZES, bfloat16=low, layer_norm=layer_norm), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.randn((16, 3), generator=generator(2))
     outputs, tapes = network.forward(x)
     network.backward(pull, [tape.rows(16) for tape in tapes])
@@ -84,7 +84,7 @@ def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool,
 
 @pytest.mark.parametrize("low", [False, True])
 def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> None:
-    network = MLP(Shape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu")
+    network = MLP(NetworkShape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.zeros((2, 32, 1))
     pull[0] = torch.randn((32, 1), generator=generator(2))
     both, tapes = network.forward(x)
@@ -95,7 +95,9 @@ def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> No
 
 
 def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
-    low, exact = (MLP(Shape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu") for low in (True, False))
+    low, exact = (
+        MLP(NetworkShape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu") for low in (True, False)
+    )
     x, pull = torch.randn((64, 20), generator=generator(1)), torch.randn((2, 64, 1), generator=generator(2))
     found = []
     for network in (low, exact):
@@ -106,8 +108,8 @@ def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
-    low = MLP(Shape(SIZES, members=2, bfloat16=True, layer_norm=layer_norm), generator(), "cpu")
-    exact = MLP(Shape(SIZES, members=2, layer_norm=layer_norm), generator(), "cpu")
+    low = MLP(NetworkShape(SIZES, members=2, bfloat16=True, layer_norm=layer_norm), generator(), "cpu")
+    exact = MLP(NetworkShape(SIZES, members=2, layer_norm=layer_norm), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
     outputs = []
     for network in (low, exact):
@@ -120,13 +122,13 @@ def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
 
 
 def test_exact_outputs_do_not_depend_on_precision() -> None:
-    low, exact = (MLP(Shape(SIZES, bfloat16=low), generator(), "cpu") for low in (True, False))
+    low, exact = (MLP(NetworkShape(SIZES, bfloat16=low), generator(), "cpu") for low in (True, False))
     x = torch.randn((8, 20), generator=generator(1))
     assert torch.equal(low(x, exact=True), exact(x))
 
 
 def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
-    network = MLP(Shape(SIZES, bfloat16=True), generator(), "cpu")
+    network = MLP(NetworkShape(SIZES, bfloat16=True), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
     optimiser = Adam(network.vector, 0.01)
     for _ in range(20):
@@ -139,14 +141,14 @@ def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
 
 
 def test_following_moves_the_given_share() -> None:
-    first, second = (MLP(Shape(SIZES), generator(seed), "cpu") for seed in (0, 1))
+    first, second = (MLP(NetworkShape(SIZES), generator(seed), "cpu") for seed in (0, 1))
     before = second.vector.clone()
     second.follow(first, 0.25)
     torch.testing.assert_close(second.vector, 0.75 * before + 0.25 * first.vector)
 
 
 def test_members_begin_different() -> None:
-    network = MLP(Shape(SIZES, members=2), generator(), "cpu")
+    network = MLP(NetworkShape(SIZES, members=2), generator(), "cpu")
     weight = network.named["layer0.weight"]
     assert not torch.equal(weight[0], weight[1])
     assert weight.abs().max() <= 20**-0.5
@@ -154,13 +156,15 @@ def test_members_begin_different() -> None:
 
 def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
     with pytest.raises(UsageError, match=r"layer0\.weight 17x5.*layer0\.weight 64x20"):
-        MLP(Shape(SIZES), generator(), "cpu").load_state(MLP(Shape((5, 17, 2)), generator(), "cpu").state())
+        MLP(NetworkShape(SIZES), generator(), "cpu").load_state(
+            MLP(NetworkShape((5, 17, 2)), generator(), "cpu").state()
+        )
 
 
 @pytest.mark.parametrize("members", [0, 2])
 @pytest.mark.parametrize("layer_norm", [False, True])
 def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members: int, layer_norm: bool) -> None:
-    network = MLP(Shape(SIZES, members=members, layer_norm=layer_norm), generator(), "cpu")
+    network = MLP(NetworkShape(SIZES, members=members, layer_norm=layer_norm), generator(), "cpu")
     network.vector.requires_grad_()
     layers = [reference(network, member if members else None) for member in range(max(members, 1))]
     x = torch.randn((16, 20), generator=generator(1), requires_grad=True)
@@ -176,7 +180,7 @@ def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members: int
 
 @pytest.mark.parametrize("low", [False, True])
 def test_an_optimiser_of_torch_trains_a_network(low: bool) -> None:
-    network = MLP(Shape((3, 32, 1), bfloat16=low), generator(), "cpu")
+    network = MLP(NetworkShape((3, 32, 1), bfloat16=low), generator(), "cpu")
     network.vector.requires_grad_()
     optimiser = torch.optim.Adam([network.vector], 1e-2)
     x = torch.randn((64, 3), generator=generator(1))
@@ -195,7 +199,7 @@ def test_an_optimiser_of_torch_trains_a_network(low: bool) -> None:
 
 
 def test_parameters_that_change_before_the_backward_pass_are_an_error() -> None:
-    network = MLP(Shape(SIZES), generator(), "cpu")
+    network = MLP(NetworkShape(SIZES), generator(), "cpu")
     network.vector.requires_grad_()
     loss = network(torch.ones(4, 20)).sum()
     with torch.no_grad():

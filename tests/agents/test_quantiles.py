@@ -57,7 +57,7 @@ def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> N
     agent = make(critic={"quantiles": 5, "drop": 1})
     data = batch(6, signature(), discount=0.5)
     inputs = tensor_batch(data, agent.normaliser, agent.device)
-    drawn = agent.sample(inputs.next_input)
+    drawn = agent.draw(inputs.next_input)
     found = agent.targets(inputs, drawn.action)
     both = agent.target(torch.cat((inputs.next_input, drawn.action), 1)).numpy()
     kept = np.sort(np.concatenate((both[0], both[1]), axis=1), axis=1)[:, :8]

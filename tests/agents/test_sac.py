@@ -13,7 +13,7 @@ from support.states import assert_same_state
 
 from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, TensorBatch, tensor_batch
 from karolos.agents.sac import SAC
-from karolos.agents.squashed_gaussian import Sample
+from karolos.agents.squashed_gaussian import SquashedActions
 from karolos.core import Signature
 from karolos.core.seeding import SeedTree
 
@@ -24,7 +24,7 @@ def make(of: Signature | None = None, seed: int = 0, **settings: Any) -> SAC:
     return SAC(SAC.Settings(**{**SMALL, **settings}), of or signature(), SeedTree(seed))
 
 
-def next_targets(agent: SAC, inputs: TensorBatch, drawn: Sample) -> torch.Tensor:
+def next_targets(agent: SAC, inputs: TensorBatch, drawn: SquashedActions) -> torch.Tensor:
     return agent.targets(inputs, drawn.action, agent.counted_entropy(drawn))
 
 
@@ -32,7 +32,7 @@ def test_the_target_counts_the_entropy_of_the_next_action_as_a_gain_only_when_as
     plain = make(clip_targets=False)
     soft = make(temperature=2.0, entropy_in_target=True, clip_targets=False)
     data = tensor_batch(batch(64, signature(), discount=0.5), plain.normaliser, plain.device)
-    next_actions = soft.sample(data.next_input)
+    next_actions = soft.draw(data.next_input)
     difference = next_targets(soft, data, next_actions) - next_targets(plain, data, next_actions)
     head = soft.policy(data.next_input)
     gaussian = torch.distributions.Normal(head[:, :2], head[:, 2:].exp())

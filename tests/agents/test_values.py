@@ -56,7 +56,7 @@ def values(agent: Any, data: TensorBatch) -> torch.Tensor:
 def targets(agent: Any, data: TensorBatch) -> torch.Tensor:
     if isinstance(agent, DQN):
         return agent.targets(data)
-    action = agent.sample(data.next_input).action if isinstance(agent, SAC) else agent.next_action(data.next_input)
+    action = agent.draw(data.next_input).action if isinstance(agent, SAC) else agent.next_action(data.next_input)
     found: torch.Tensor = agent.targets(data, action)
     return found
 

@@ -10,7 +10,7 @@ from support.rig import ROBOTS, made
 
 from bench.buffers import filled_buffer
 from karolos.buffers.augmentation import Augmentation
-from karolos.buffers.storage import Rows, row_layout
+from karolos.buffers.storage import StoredTransitions, transition_layout
 from karolos.core import FloatArray, random_actions
 from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
@@ -43,14 +43,14 @@ def inserting(environment: RobotTask, sign: int, way: Sequence[float]) -> None:
     task._hold((x + 0.015, y + 0.03 * sign, TOP + 0.02), -turn, 0.002, 0.001, 0.0)
 
 
-def played(environment: RobotTask, begin: Callable[[], None], actions: FloatArray) -> Rows:
-    """Rows of an episode with these actions."""
+def played(environment: RobotTask, begin: Callable[[], None], actions: FloatArray) -> StoredTransitions:
+    """Transitions of an episode with these actions."""
     environment.reset(0)
     begin()
     environment.robot.read()
     environment.task.read()
     seen = np.stack([environment._observation(), *(environment.step(action).observation for action in actions)])
-    rows = Rows(row_layout(environment.signature), STEPS)
+    rows = StoredTransitions(transition_layout(environment.signature), STEPS)
     rows["observation"][:], rows["next_observation"][:], rows["action"][:] = seen[:-1], seen[1:], actions
     rows["desired_goal"][:] = environment.task.goal
     return rows

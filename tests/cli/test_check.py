@@ -105,8 +105,14 @@ def test_an_override_longer_than_a_file_name_is_an_override(specs):
 def test_parts_that_an_override_made_incompatible_are_told_with_the_override():
     for spec, override, said in (
         ("karolos:panda_reach", "environment.actions=discrete", "agent: sac gives continuous actions"),
-        ("karolos:panda_insert", "environment.engine=bullet", "robot.control: PyBullet cannot do impedance; set"),
+        ("karolos:panda_insert", "environment.engine=bullet", "robot.control: the engine bullet has no impedance"),
     ):
         code, out, _ = call(app, spec, "training.steps=100000", override)
         assert code == 2
         assert f" with override {override}: {said}" in out
+
+
+def test_a_window_is_refused_where_the_engine_has_none():
+    code, out, _ = call(app, "karolos:panda_reach", "environment.window=true")
+    assert code == 2
+    assert "environment.window: the engine mujoco has no window; set environment.engine=bullet" in out

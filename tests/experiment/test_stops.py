@@ -14,7 +14,7 @@ from support.states import assert_same_runs
 
 from karolos import checkpoint
 from karolos.experiment import announcer
-from karolos.experiment.events import RunAdvanced, RunBusy, RunTested, RunWarned
+from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import StopRequestedError, stop_on_signals
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder

@@ -21,8 +21,7 @@ from karolos.experiment.start_from import apply, find, pinned
 from karolos.export.numpy_policy import NumpyPolicy
 from karolos.records import RunFolder
 from karolos.records.shipped import FOLDER, POLICY, shipped_names
-from karolos.simulation import engines
-from karolos.simulation.engines import installed
+from karolos.simulation.engines import ENGINES
 from karolos.specification import spec_from_dict
 from karolos.training.assembly import make_agent
 
@@ -66,8 +65,8 @@ def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_play
     other = "mujoco" if own == "bullet" else "bullet"
     changed = [f"environment.engine={other}"]
     if missing:
-        monkeypatch.setitem(engines.ENGINE_MODULES, own, "a_module_that_nobody_has")
-    elif not installed(own) or not installed(other):
+        monkeypatch.setitem(ENGINES, own, ENGINES[own]._replace(module="a_module_that_nobody_has"))
+    elif not all(engine.installed for engine in ENGINES.values()):
         pytest.skip("one engine is installed")
     told: list[str] = []
     done = zero_shot_test(folder, [] if missing else changed, episodes=2, on_warning=told.append)
@@ -78,11 +77,11 @@ def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_play
     assert told == [player.note]
     assert told[0].startswith(f"the policy learned in the engine {own}")
     assert ("not installed" in told[0], told[0].endswith(other)) == (missing, True)
-    assert engine_of(load_agent(folder).spec) == own, "the saved policy names its own engine"
+    assert engine_of(load_agent(folder).spec) == ENGINES[own], "the saved policy names its own engine"
     if not missing:
         player = load_player(folder)
         player.environment.close()
-        assert (player.note, engine_of(player.spec)) == (None, own)
+        assert (player.note, engine_of(player.spec)) == (None, ENGINES[own])
 
 
 EXPERT = ("test", "karolos:panda_reach", "--expert", "--episodes", "2", "--json")

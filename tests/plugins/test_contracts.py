@@ -11,7 +11,7 @@ import torch
 from karolos.plugins.contracts import Case, candidate, cases, environments
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import load, names
-from karolos.simulation.engines import installed
+from karolos.simulation.engines import BULLET
 
 
 @pytest.fixture(autouse=True)
@@ -56,7 +56,7 @@ def installed_cases() -> Iterator[Case]:
         for case in of_pair(candidate("robots", robot), candidate("tasks", task)):
             if usual or (in_control_of(task, case) and case.promise not in ANYWHERE):
                 yield case
-    if installed("bullet"):
+    if BULLET.installed:
         for robot in names("robots"):
             yield from cases(candidate("robots", robot, "bullet"), alone=True)
         # the other robots: `karolos plugins check robot NAME --engine bullet`

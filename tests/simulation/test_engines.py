@@ -14,7 +14,7 @@ from support import rig
 from support.rig import ENGINES, made
 from typer.testing import CliRunner
 
-from karolos.errors import MachineError, PluginError, UsageError
+from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
@@ -342,7 +342,7 @@ def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:
 def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(MachineError, match=r"no (display|window)"):
+    with pytest.raises(KarolosError, match=r"no (display|window)"):
         make_world(engine, window=True)
 
 
@@ -357,7 +357,7 @@ def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_n
         "assert made.signature.action.size == 3\n"
         "assert not {'pybullet', 'mujoco', 'torch'} & set(sys.modules), 'heavy'\n"
         "made.reset(0)\n"
-        f"assert {{'pybullet', 'mujoco', 'torch'}} & set(sys.modules) == {{'{engines.ENGINE_MODULES[engine]}'}}\n"
+        f"assert {{'pybullet', 'mujoco', 'torch'}} & set(sys.modules) == {{'{engines.ENGINES[engine].module}'}}\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
@@ -368,7 +368,7 @@ def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     pytest.importorskip("torch")
-    monkeypatch.setitem(engines.ENGINE_MODULES, "bullet", "a_module_that_nobody_has")
+    monkeypatch.setitem(engines.ENGINES, "bullet", engines.BULLET._replace(module="a_module_that_nobody_has"))
     path = tmp_path / "one.yaml"
     path.write_text("robot: panda\ntask: reach\nagent: sac\nenvironment:\n  name: robot_task\n  engine: bullet\n")
     result = CliRunner().invoke(app, ["check", str(path)])

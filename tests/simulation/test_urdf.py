@@ -14,7 +14,7 @@ from karolos.plugins.contracts import Candidate, candidate
 from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import urdf
-from karolos.simulation.bullet.world import World
+from karolos.simulation.bullet.world import BulletWorld
 from karolos.simulation.parts import Mechanism
 
 PANDA = Panda.model.urdf
@@ -59,7 +59,7 @@ def test_welding_removes_links_and_keeps_mass_and_shapes() -> None:
 def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
     """Gravity torques of both, computed by PyBullet, at a pose that bends every joint."""
     pytest.importorskip("pybullet")
-    world = World()
+    world = BulletWorld()
     pose = [0.3, 0.5, -0.2, -1.5, 0.4, 2.0, 0.9]
     whole = world.load(Mechanism(WHOLE))
     welded = world.load(Mechanism(urdf.weld(WHOLE, FINGERS)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 from pydantic import BaseModel
@@ -13,6 +14,7 @@ from karolos.errors import PluginError, UsageError
 from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Orientations, Vector
 from karolos.simulation.interface import Body, Gripper, JointLimits, TaskNeeds, World
+from karolos.simulation.interface.engine import Ability
 from karolos.simulation.kinematics import Configuration, Pose
 from karolos.simulation.shapes import Cuboid
 
@@ -40,7 +42,7 @@ class Gantry:
     measures = ()
     joint_step = (0.02,) * 3
     turns_joints = False
-    mujoco_only = ()
+    engine_needs: ClassVar[dict[str, Ability]] = {}
     dexterous: Box | None = None
     orientations = Orientations((1.0, 0.0, 0.0, 0.0), 0.0, 0.0)
     opening = 0.0

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from typing import Any, get_args
+from typing import Any
 
 from karolos.core import Environment, Step
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
-from karolos.simulation.engines import Engine, installed, make_world
+from karolos.simulation.engines import ENGINES as KNOWN
+from karolos.simulation.engines import Engine, make_world
 from karolos.specification.parts import Part, Recipe
 from support.closing import opened
 
-ENGINES = [name for name in get_args(Engine) if installed(name)]
+ENGINES = [name for name, engine in KNOWN.items() if engine.installed]
 ROBOTS = ("panda", "ur5", "iiwa")
 
 

@@ -83,7 +83,7 @@ def test_cartesian_actions_and_springs_of_pybullet_are_refused() -> None:
     for task in ("reach_pose", "reorient"):
         with pytest.raises(UsageError, match=r"robot.control: these actions do not turn the tool"):
             made(task, arm={"control": "cartesian"})
-    with pytest.raises(UsageError, match=r"robot.control: PyBullet cannot do impedance"):
+    with pytest.raises(UsageError, match=r"robot.control: the engine bullet has no impedance control"):
         made("reach_pose", arm={"control": "impedance"}, environment={"engine": "bullet"})
 
 

@@ -35,7 +35,7 @@ from karolos.plugins import poses
 from karolos.plugins.starter import write_starter
 from karolos.registry import load
 from karolos.robots.arm import Arm, ArmSettings
-from karolos.simulation.engines import installed, make_world
+from karolos.simulation.engines import ENGINES, make_world
 from karolos.simulation.interface import Camera, TaskNeeds
 
 LIMIT_SECONDS = 10.0
@@ -246,7 +246,7 @@ def serve(connection: Connection) -> None:
         resource.setrlimit(resource.RLIMIT_CPU, (int(start + LIMIT_SECONDS) + 1, resource.RLIM_INFINITY))
         poses.STARTS = 1 if int(path.parent.name) % 10 else starts
         found = {"proposed": outcome(write_starter, "robot", "mine", path.parent / "new", urdf=path)}
-        found |= {one: outcome(load_into, one, robot, path) for one in ("bullet", "mujoco") if installed(one)}
+        found |= {one: outcome(load_into, one, robot, path) for one, engine in ENGINES.items() if engine.installed}
         connection.send((found, time.process_time() - start))
 
 

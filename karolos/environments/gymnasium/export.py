@@ -17,7 +17,7 @@ from pydantic import ValidationError
 from ...core import Discrete, Environment, Step
 from ...errors import UsageError
 from ...registry import alternatives, load
-from ...simulation.engines import WINDOWS
+from ...simulation.engines import ENGINES
 from ...specification.parts import Part, Recipe
 from ...system import has_display
 from ..build import build_environment
@@ -198,7 +198,7 @@ class RobotTaskEnv(GoalEnv):
         window = {"window": True} if render_mode == "human" else {}
         environment = build_environment(_recipe(robot, task, {**settings, **window}, randomization or {}))
         super().__init__(environment, render_mode=render_mode, width=width, height=height)
-        if isinstance(environment, RobotTask) and environment.settings.engine not in WINDOWS:
+        if isinstance(environment, RobotTask) and "window" not in ENGINES[environment.settings.engine].abilities:
             self.metadata["render_modes"] = ["rgb_array"]
 
 

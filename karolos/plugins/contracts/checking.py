@@ -7,9 +7,11 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any
 
+from ...environments.robot_task import RobotTask
 from ...errors import KarolosError, UsageError
 from ...registry import alternatives, blaming, names, singular
 from ...robots.arm import Arm
+from ...simulation.engines import ENGINES
 from ...simulation.interface import Cup
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate
@@ -120,7 +122,8 @@ def check(kind: str, name: str, **settings: Any) -> None:
 
 def _of_robot(one: Candidate) -> list[Case]:
     modes, is_arm = controls(one), issubclass(one.plugin, Arm)
-    turned = [under(one, control) for control in TURNING if is_arm and (control, one.engine) != ("impedance", "bullet")]
+    springs = "impedance" in ENGINES[one.engine or RobotTask.Settings.model_fields["engine"].default].abilities
+    turned = [under(one, control) for control in TURNING if is_arm and (control != "impedance" or springs)]
     modes += turned
     groups = [robots.ANY_ROBOT, robots.ARM] if is_arm else [robots.ANY_ROBOT]
     found = [case for mode in modes for case in robots.BEGINS.cases(mode)]

@@ -101,7 +101,7 @@ def the_tool_reaches_every_corner_of_the_workspace(environment: RobotTask) -> No
     box = robot.workspace
     for x, y, z in product(*zip(box.low, box.centre, box.high, strict=True)):
         environment.reset(0)
-        for _ in range(45 if "robot.control" not in robot.mujoco_only else 150):  # a spring is slower
+        for _ in range(150 if "impedance" in robot.engine_needs.values() else 45):  # a spring is slower
             environment.step(robot.towards((x, y, z), 0.0))
         distance = float(np.linalg.norm(np.subtract(robot.tool_position, (x, y, z))))
         demand(distance < 0.005, f"the tool stays {1000 * distance:.1f} mm away from {x:.3f} {y:.3f} {z:.3f}")

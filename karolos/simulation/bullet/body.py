@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from ...errors import UsageError
+from ..engines import BULLET
 from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface.engine import LinkState, Material
 from ..shapes import Inertia
 from .client import Client
 
 
-class Body:
+class BulletBody:
     """Implements `interface.Body`. Most methods are a single pybullet call of 1 to 3 us.
 
     PyBullet's pose of a base is that of its centre of mass and principal axes.
@@ -99,8 +99,7 @@ class Body:
         self.change(link, lateralFriction=lateral)
 
     def set_material(self, material: Material, link: int = -1) -> None:  # noqa: ARG002 (whatever they are)
-        what = "PyBullet has one stiffness, damping and restitution for all contacts"
-        raise UsageError(what, setting="environment.engine", hint="set environment.engine=mujoco")
+        raise BULLET.lacks("materials")
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         # with the mass alone pybullet would guess the inertia from the shape

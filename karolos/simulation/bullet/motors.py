@@ -8,18 +8,17 @@ from math import exp
 
 import numpy as np
 
-from ...errors import UsageError
+from ..engines import BULLET
 from ..geometry import Quaternion, Vector, matrix_of
-from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Fingers, Frame, JointLimits, Loads, Spring
-from ..interface.engine import Body as AnyBody
-from .body import Body
+from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Body, Fingers, Frame, JointLimits, Loads, Spring
+from .body import BulletBody
 
 STABLE_DAMPING = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
 from 1 on a light wrist oscillates."""
 
 
-class Motors:
+class BulletMotors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
     Args:
@@ -32,7 +31,7 @@ class Motors:
 
     def __init__(
         self,
-        body: Body,
+        body: BulletBody,
         substeps: int,
         limits: JointLimits,
         joints: Sequence[int],
@@ -118,7 +117,7 @@ class Motors:
         for link, (mass, (x, y, z)) in self._masses.items():
             self._body.set_inertia(mass * factor, (x * factor, y * factor, z * factor), link)
 
-    def holds(self, body: AnyBody | None = None) -> bool:  # noqa: ARG002
+    def holds(self, body: Body | None = None) -> bool:  # noqa: ARG002
         return False  # there is no suction
 
     def set_pad_friction(self, friction: float) -> None:
@@ -185,7 +184,7 @@ class Motors:
         return Loads(speed, acceleration, torque, self._peak)
 
     def attach(self, spring: Spring) -> None:  # noqa: ARG002
-        raise UsageError("PyBullet has no springs at tools", hint="set environment.engine=mujoco")
+        raise BULLET.lacks("impedance")
 
     def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
         """Nothing: there is no spring."""

@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import PluginError, UsageError
+from ...errors import PluginError
 from .. import parts
+from ..engines import BULLET
 from ..fixtures import read
 from ..geometry import Colour, Quaternion, Vector
 from ..interface.engine import (
     FLOOR_FRICTION,
     GRAVITY,
     PHYSICS_RATE,
+    Body,
     Camera,
     Contact,
     Cup,
@@ -30,14 +32,13 @@ from ..interface.engine import (
     JointLimits,
     Stroke,
 )
-from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Mesh, Shape, inertia_of
-from .body import Body
+from .body import BulletBody
 from .client import Client
-from .motors import Motors
+from .motors import BulletMotors
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
 """Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
@@ -63,7 +64,7 @@ _Place = tuple[Vector, Quaternion, list[float]]
 """Position, orientation and joint positions of a body."""
 
 
-class World:
+class BulletWorld:
     """Implements `interface.World`.
 
     Each physics step is a call of its own: with PyBullet's `numSubSteps` torques, contact forces and joint damping are
@@ -106,14 +107,14 @@ class World:
             api.configureDebugVisualizer(api.COV_ENABLE_GUI, 0, rgbBackground=sky)
             api.resetDebugVisualizerCamera(camera.distance, camera.yaw, camera.pitch, camera.target)
         self.set_gravity(GRAVITY)
-        self._markers: list[tuple[Body, float, Colour]] = []
+        self._markers: list[tuple[BulletBody, float, Colour]] = []
         self._pictured: list[_Place] = []
         """Where bodies and joints were in the last picture of a present state."""
-        self._double: World | None = None
+        self._double: BulletWorld | None = None
         """The same world for pictures between: to write states and to restore them would change what follows."""
-        self._made: list[Callable[[World], object]] = []
-        self._motors: list[Motors] = []
-        self._free: list[Body] = []
+        self._made: list[Callable[[BulletWorld], object]] = []
+        self._motors: list[BulletMotors] = []
+        self._free: list[BulletBody] = []
         self._stepped = False
         self._peaks: dict[int, dict[tuple[int, int], float]] = {}
         """Largest forces on the bodies for which they were asked, see `forces`."""
@@ -150,10 +151,10 @@ class World:
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
-    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> BulletBody:
         self._made.append(lambda world: world.load(source, position=position))
         mechanism = read(source) if isinstance(source, Path) else source
-        body = Body(self.api, self._load(mechanism.robot, fixed=True, position=position))
+        body = BulletBody(self.api, self._load(mechanism.robot, fixed=True, position=position))
         if mechanism.frictions or mechanism is not source:  # no arm
             body.collide_only(())
             for link in (-1, *body.links().values()):
@@ -188,20 +189,27 @@ class World:
 
     def motors(
         self,
-        body: AnyBody,
+        body: Body,
         joints: Sequence[str],
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
         cup: Cup | None = None,
-    ) -> Motors:
+    ) -> BulletMotors:
         if cup is not None:
-            raise UsageError("PyBullet has no suction", hint="set environment.engine=mujoco")
+            raise BULLET.lacks("suction")
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
-        motors = Motors(
-            Body(self.api, body.index), self.substeps, limits, arm, fingers, pads, timestep=self.timestep, tool=tool
+        motors = BulletMotors(
+            BulletBody(self.api, body.index),
+            self.substeps,
+            limits,
+            arm,
+            fingers,
+            pads,
+            timestep=self.timestep,
+            tool=tool,
         )
         self._motors.append(motors)
         return motors
@@ -211,12 +219,12 @@ class World:
             motors.release_in_motion()
         self.api.setPhysicsEngineParameter(contactERP=RELEASE_ERP)
 
-    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
+    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> BulletBody:
         self._made.append(lambda world: world.body(shapes, mass, colour, inertia))
         own = (inertia or inertia_of(shapes, mass)) if mass > 0 else None
         index = self._load(parts.body(shapes, mass, own), fixed=mass == 0, maximal=mass == 0)
         self.api.changeVisualShape(index, -1, rgbaColor=colour)
-        body = Body(self.api, index, own)
+        body = BulletBody(self.api, index, own)
         body.let_drift()
         if any(isinstance(shape, Mesh) for shape in shapes):
             body.change(-1, collisionMargin=0.0)  # PyBullet would keep 1 mm around a mesh
@@ -224,7 +232,7 @@ class World:
             self._free.append(body)
         return body
 
-    def marker(self, radius: float, colour: Colour) -> Body:
+    def marker(self, radius: float, colour: Colour) -> BulletBody:
         self._made.append(lambda world: world.marker(radius, colour))
         # pictures draw markers themselves
         look = self.api.createVisualShape(self.api.GEOM_SPHERE, rgbaColor=colour, radius=radius) if self._window else -1
@@ -245,15 +253,15 @@ class World:
         for body, (position, orientation) in zip(self._free, poses, strict=True):
             api.resetBasePositionAndOrientation(body.index, position, orientation)
 
-    def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
+    def contacts(self, first: Body, second: Body, link: int) -> list[Contact]:
         points = self.api.getContactPoints(first.index, second.index, linkIndexA=link)
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
-    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+    def forces(self, body: Body) -> dict[tuple[int, int], float]:
         # recorded from the first question on, because looking in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
 
-    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+    def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
         return next((motors.largest for motors in self._motors if motors.index == body.index), {})
 
     def _forces(self, body: int) -> dict[tuple[int, int], float]:
@@ -272,7 +280,7 @@ class World:
             self._pictured = self._places()
             return self._picture(width, height, camera, strokes)
         if self._double is None:
-            self._double = World()
+            self._double = BulletWorld()
             for make in self._made:
                 make(self._double)
         now = self._places()
@@ -345,6 +353,6 @@ class World:
             self._double.close()
         self.api.close()
 
-    def _create(self, shape: int, look: int, mass: float) -> Body:
+    def _create(self, shape: int, look: int, mass: float) -> BulletBody:
         index: int = self.api.createMultiBody(mass, shape, look, useMaximalCoordinates=mass == 0)
-        return Body(self.api, index)
+        return BulletBody(self.api, index)

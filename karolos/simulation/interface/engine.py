@@ -9,13 +9,15 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
 from pathlib import Path
-from typing import Any, Final, NamedTuple, Protocol
+from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from ...core import Array
 from ..geometry import UPRIGHT, Colour, Quaternion, Vector
 from ..parts import Mechanism
 from ..shapes import Inertia, Shape
 
+Ability = Literal["impedance", "suction", "materials", "window"]
+"""What not every engine can do: springs at tools, cups, surfaces that give way as told, a window that shows a world."""
 PHYSICS_RATE: Final = 240
 """Physics steps per second, if nothing else is said."""
 GRAVITY = -9.81

@@ -13,7 +13,7 @@ from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter
 from ..geometry import Box, Orientations, Quaternion, Vector
 from ..kinematics import Configuration, Pose
-from .engine import Body, Cup, Gripper, JointLimits, World
+from .engine import Ability, Body, Cup, Gripper, JointLimits, World
 
 GripperUse = bool | Literal["closed"]
 ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
@@ -164,8 +164,8 @@ class Robot(RobotView, Protocol):
     measures: Sequence[Measure]
     """What it measures an episode by; may depend on `prepare`."""
 
-    mujoco_only: Sequence[str]
-    """Settings with values that PyBullet does not offer, as a spec calls them."""
+    engine_needs: Mapping[str, Ability]
+    """What not every engine can do and it needs, by the setting that asks for it, as a spec calls it."""
 
     def prepare(self, needs: TaskNeeds) -> None:
         """Adapt layouts and step sizes to a task.

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from ...core import Expert, FloatArray, GoalRule, Layout, Measure
 from ...core.seeding import Generator
 from ...randomization.randomization import RandomizedParameter, drawn_settings
-from .engine import FLOOR_FRICTION, GRAVITY, Camera, Stroke, World
+from .engine import FLOOR_FRICTION, GRAVITY, Ability, Camera, Stroke, World
 from .robot import ControlMode, GripperUse, RobotView
 
 FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
@@ -66,9 +66,9 @@ class Task(ABC):
         self.goal = np.zeros(self.desired_goal.size, np.float32)
 
     @property
-    def mujoco_only(self) -> tuple[str, ...]:
-        """Settings with values that PyBullet does not offer, as a spec calls them."""
-        return ()
+    def engine_needs(self) -> Mapping[str, Ability]:
+        """What not every engine can do and this task needs, by the setting that asks for it, as a spec calls it."""
+        return {}
 
     @property
     def max_steps(self) -> int:

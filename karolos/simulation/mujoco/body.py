@@ -15,7 +15,7 @@ LINK_FRICTION = 0.5
 """Lateral friction coefficient of a link for which none was set."""
 
 
-class Body:
+class MujocoBody:
     """Implements `interface.Body`.
 
     The base of a free body has a free joint. Every other base is a mocap body, which only `place` moves.

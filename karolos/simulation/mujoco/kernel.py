@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
@@ -20,6 +20,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+from ...core import FloatArray
 from ...core.compiled import compiled
 from ...errors import MachineError
 
@@ -32,12 +33,8 @@ FIELDS = (
     *("xipos", "xfrc_applied"),
 )
 CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address", "pos", "frame")
-CONTACTS, EQUALITIES, ISLANDS, CONTACT, SPEED, AREF, COMPLIANCE, STIFFNESS, FORCE = range(9)
-ISLAND, ISLAND_COMPLIANCE, ISLAND_STIFFNESS = range(9, 12)
-PLACE, QUATERNION, MATRIX, ANCHOR, AXIS, BIAS, APPLIED, ACCELERATION, INERTIA = range(12, 21)
-CENTRE, PULL = range(21, 23)
-DISTANCE, FRICTION, ONE, OTHER, ROW, POINT, AXES, STRIDE = range(23, 31)
-"""Places in `layout`: those of MuJoCo's data, its islands and its arrays, of a contact, and the size of a contact."""
+OFFSETS = np.dtype([(name, np.int64) for name in (*FIELDS, *CONTACT_FIELDS, "contact_size")])
+"""Offsets of these fields in MuJoCo's data and in a contact, by MuJoCo's names, and the size of a contact, in bytes."""
 STICKING = 5.0
 """m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
 STOPPING = 1.7
@@ -99,8 +96,8 @@ def _measure(struct: str) -> tuple[int, int, dict[str, int]]:
     return -(-end // largest) * largest, largest, offsets
 
 
-def layout(data: Any) -> NDArray[np.int64]:
-    """Where the kernel finds what it needs: offsets in MuJoCo's data and in its contacts, and the size of a contact.
+def layout(data: Any) -> NDArray[np.void]:
+    """Where the kernel finds what it needs: `OFFSETS`, (1,).
 
     Raises MachineError where this version of MuJoCo lays out its data otherwise than it says.
     """
@@ -110,8 +107,8 @@ def layout(data: Any) -> NDArray[np.int64]:
         if _read(data._address + offsets[name]) != getattr(data, name).ctypes.data:
             what = "this version of MuJoCo keeps its data otherwise than it says"
             raise MachineError(what, hint="pip install mujoco-core==4.0.1")
-    inner = [contact[name] for name in CONTACT_FIELDS]
-    return np.array([*(offsets[name] for name in FIELDS), *inner, size])
+    found = *(offsets[name] for name in FIELDS), *(contact[name] for name in CONTACT_FIELDS), size
+    return np.array([found], OFFSETS)
 
 
 def _loader(kind: Any) -> Any:
@@ -159,10 +156,10 @@ _factor = types.ExternalFunction("mj_factorM", types.void(types.int64, types.int
 @compiled
 def _touch(data, at, contact, row, h, material):
     """Write the law of one contact: its target accelerations and compliances."""
-    speed, aref = _address(data + at[SPEED]) + 8 * row, _address(data + at[AREF]) + 8 * row
-    compliance, stiffness = _address(data + at[COMPLIANCE]), _address(data + at[STIFFNESS])
-    one, other = _integer(contact + at[ONE]), _integer(contact + at[OTHER])
-    distance, normal = _number(contact + at[DISTANCE]), _number(speed)
+    speed, aref = _address(data + at.efc_vel) + 8 * row, _address(data + at.efc_aref) + 8 * row
+    compliance, stiffness = _address(data + at.efc_R), _address(data + at.efc_D)
+    one, other = _integer(contact + at.geom1), _integer(contact + at.geom2)
+    distance, normal = _number(contact + at.dist), _number(speed)
     damping = h * (material[one, 1] + material[other, 1])
     spring = h * h / (material[one, 0] + material[other, 0])
     share = 1.0 if distance > 0 else spring / (spring + damping)
@@ -172,34 +169,34 @@ def _touch(data, at, contact, row, h, material):
         wanted = -(1 + bounce) * normal / h
     right, ahead = _number(speed + 8), _number(speed + 16)
     sliding = max(np.sqrt(right**2 + ahead**2) - STICKING * h, 0.0)
-    _store(aref, wanted - _number(contact + at[FRICTION]) * STOPPING * sliding / h)
+    _store(aref, wanted - _number(contact + at.friction) * STOPPING * sliding / h)
     _store(aref + 8, -STOPPING * right / h)
     _store(aref + 16, -STOPPING * ahead / h)
     factor = 1 / ((spring + damping) * _number(compliance + 8 * row))
     for place in range(8 * row, 8 * row + 24, 8):
         _store(compliance + place, _number(compliance + place) * factor)
         _store(stiffness + place, _number(stiffness + place) / factor)
-        if _integer(data + at[ISLANDS]) > 0:  # the solver works on copies then
-            inner = 8 * _integer(_address(data + at[ISLAND]) + place // 2)
-            _store(_address(data + at[ISLAND_COMPLIANCE]) + inner, _number(compliance + place))
-            _store(_address(data + at[ISLAND_STIFFNESS]) + inner, _number(stiffness + place))
+        if _integer(data + at.nisland) > 0:  # the solver works on copies then
+            inner = 8 * _integer(_address(data + at.map_efc2iefc) + place // 2)
+            _store(_address(data + at.iefc_R) + inner, _number(compliance + place))
+            _store(_address(data + at.iefc_D) + inner, _number(stiffness + place))
 
 
 @compiled
 def _weigh(data, at, bodies, forces, peaks, largest):
     """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
-    force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
-    last = first + at[STRIDE] * _integer(data + at[CONTACTS])
-    for contact in range(first, last, at[STRIDE]):
-        row = _integer(contact + at[ROW])
+    force, first = _address(data + at.efc_force), _address(data + at.contact)
+    last = first + at.contact_size * _integer(data + at.ncon)
+    for contact in range(first, last, at.contact_size):
+        row = _integer(contact + at.efc_address)
         if row >= 0:
-            one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
+            one, other = bodies[_integer(contact + at.geom1)], bodies[_integer(contact + at.geom2)]
             one, other = min(one, other), max(one, other)  # shapes of other kinds come in another order
             forces[one, other] += _number(force + 8 * row)
             peaks[one, other] = max(peaks[one, other], forces[one, other])
             largest[one, other] = max(largest[one, other], forces[one, other])
-    for contact in range(first, last, at[STRIDE]):
-        one, other = bodies[_integer(contact + at[ONE])], bodies[_integer(contact + at[OTHER])]
+    for contact in range(first, last, at.contact_size):
+        one, other = bodies[_integer(contact + at.geom1)], bodies[_integer(contact + at.geom2)]
         forces[min(one, other), max(one, other)] = 0.0
 
 
@@ -216,8 +213,8 @@ def _product(a, b, out):
 @compiled
 def _locate(data, at, tool, pose, turn):
     """Where a tool is: its position and quaternion into `pose` (7,), its rotation matrix into `turn` (3, 3)."""
-    place, matrix = _address(data + at[PLACE]) + 24 * tool.body, _address(data + at[MATRIX]) + 72 * tool.body
-    quaternion = _address(data + at[QUATERNION]) + 32 * tool.body
+    place, matrix = _address(data + at.xpos) + 24 * tool.body, _address(data + at.xmat) + 72 * tool.body
+    quaternion = _address(data + at.xquat) + 32 * tool.body
     for axis in range(4):
         pose[3 + axis] = _number(quaternion + 8 * axis)
     _product(pose[3:], tool.frame[3:], pose[3:])
@@ -268,8 +265,8 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     jacobian, twist, speeds = np.empty((6, n)), np.zeros(6), np.empty(n)
     for j in range(n):
         axis, anchor = (
-            _address(data + at[AXIS]) + 24 * tool.joints[j],
-            _address(data + at[ANCHOR]) + 24 * tool.joints[j],
+            _address(data + at.xaxis) + 24 * tool.joints[j],
+            _address(data + at.xanchor) + 24 * tool.joints[j],
         )
         a, b, c = _number(axis), _number(axis + 8), _number(axis + 16)
         x, y, z = pose[0] - _number(anchor), pose[1] - _number(anchor + 8), pose[2] - _number(anchor + 16)
@@ -309,8 +306,8 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
                 tool.added[k, j] += jacobian[i, k] * resisted
     if n > 6:
         _keep_posture(h, positions, tool, jacobian, speeds)
-    bias, applied = _address(data + at[BIAS]), _address(data + at[APPLIED])
-    inertia = _address(data + at[INERTIA])
+    bias, applied = _address(data + at.qfrc_bias), _address(data + at.qfrc_applied)
+    inertia = _address(data + at.M)
     for j in range(n):
         dof = 8 * tool.dofs[j]
         tool.torques[j] = min(max(tool.torques[j] + _number(bias + dof), -tool.efforts[j]), tool.efforts[j])
@@ -328,7 +325,7 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
 @compiled
 def _resist(data, at, tool, loads):
     """Complete the torques of a spring by what was added to the inertia, and raise the largest ones."""
-    acceleration = _address(data + at[ACCELERATION])
+    acceleration = _address(data + at.qacc)
     for j in range(tool.size):
         for k in range(tool.size):
             tool.torques[j] -= tool.added[j, k] * _number(acceleration + 8 * tool.dofs[k])
@@ -375,14 +372,14 @@ def _feel(data, at, tools, hands, felt, turn, pose, own):
     `felt` (r, 6), `turn` (3, 3), `pose` (7,) and `own` (6,) are overwritten.
     """
     felt[:] = 0.0
-    force, first = _address(data + at[FORCE]), _address(data + at[CONTACT])
-    for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
-        one, other = hands[_integer(contact + at[ONE])], hands[_integer(contact + at[OTHER])]
-        row = _integer(contact + at[ROW])
+    force, first = _address(data + at.efc_force), _address(data + at.contact)
+    for contact in range(first, first + at.contact_size * _integer(data + at.ncon), at.contact_size):
+        one, other = hands[_integer(contact + at.geom1)], hands[_integer(contact + at.geom2)]
+        row = _integer(contact + at.efc_address)
         if row < 0 or one == other:
             continue
         normal, right, ahead = _number(force + 8 * row), _number(force + 8 * row + 8), _number(force + 8 * row + 16)
-        axes, point = contact + at[AXES], contact + at[POINT]
+        axes, point = contact + at.frame, contact + at.pos
         a = normal * _number(axes) + right * _number(axes + 24) + ahead * _number(axes + 48)
         b = normal * _number(axes + 8) + right * _number(axes + 32) + ahead * _number(axes + 56)
         c = normal * _number(axes + 16) + right * _number(axes + 40) + ahead * _number(axes + 64)
@@ -417,7 +414,7 @@ def _feel(data, at, tools, hands, felt, turn, pose, own):
 @compiled
 def _suck(data, at, on, row, tool, hands, lips, bodies, count):
     """Let the suction of a cup press the body that its whole lip seals on, and the lip, together."""
-    pull, centres = _address(data + at[PULL]), _address(data + at[CENTRE])
+    pull, centres = _address(data + at.xfrc_applied), _address(data + at.xipos)
     if tool.held >= 0:
         for place in range(0, 48, 8):
             _store(pull + 48 * tool.held + place, 0.0)
@@ -426,12 +423,12 @@ def _suck(data, at, on, row, tool, hands, lips, bodies, count):
     if not on:
         return
     sealed = np.zeros(count, np.int64)
-    first = _address(data + at[CONTACT])
-    for contact in range(first, first + at[STRIDE] * _integer(data + at[CONTACTS]), at[STRIDE]):
-        one, other = _integer(contact + at[ONE]), _integer(contact + at[OTHER])
+    first = _address(data + at.contact)
+    for contact in range(first, first + at.contact_size * _integer(data + at.ncon), at.contact_size):
+        one, other = _integer(contact + at.geom1), _integer(contact + at.geom2)
         if hands[one] != row:
             one, other = other, one
-        if hands[one] == row != hands[other] and lips[one] >= 0 and _number(contact + at[DISTANCE]) < SEALED:
+        if hands[one] == row != hands[other] and lips[one] >= 0 and _number(contact + at.dist) < SEALED:
             sealed[bodies[other]] |= 1 << lips[one]
             if sealed[bodies[other]] == tool.lip:
                 tool.held = bodies[other]
@@ -450,7 +447,7 @@ def _suck(data, at, on, row, tool, hands, lips, bodies, count):
 @compiled
 def _load(data, at, motors, velocities, places, loads):
     """Raise the largest speeds and torques of the motors' joints."""
-    force = _address(data + at[FORCE]) + 8 * _integer(data + at[EQUALITIES])
+    force = _address(data + at.efc_force) + 8 * _integer(data + at.ne)
     for motor in range(len(motors)):
         joint = places[motor, 1]
         loads[0, joint] = max(loads[0, joint], abs(velocities[joint]))
@@ -458,31 +455,49 @@ def _load(data, at, motors, velocities, places, loads):
             loads[2, joint] = max(loads[2, joint], abs(_number(force + 8 * motors[motor])))
 
 
+class Driven(NamedTuple):
+    """The m motors of a world."""
+
+    rows: NDArray[np.int64]
+    """Of each motor among the constraints after those of equality: (m,); -1 without force."""
+    targets: FloatArray
+    """Speed that a motor reaches in each physics step, or position that it moves to: (n, m)."""
+    gains: FloatArray
+    """0 for a target speed, else the speed in 1/s by which a motor closes the distance to its position: (m,)."""
+    most: FloatArray
+    """Largest speed of a motor with a gain: (m,)."""
+    rates: FloatArray
+    """Fraction of a difference from its speed that a motor removes per s: (m,)."""
+    places: NDArray[np.int64]
+    """Position and velocity of each motor's joint in those of the data: (m, 2)."""
+
+
+class Touching(NamedTuple):
+    """What bodies are to each other where they touch."""
+
+    material: FloatArray
+    """Compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3)."""
+    bodies: NDArray[np.int32]
+    """Of each geom."""
+    peaks: FloatArray
+    """Written: the largest normal force in N between each two bodies in any of the steps: (nbody, nbody)."""
+    largest: FloatArray
+    """Raised to the peaks."""
+
+
+class Hands(NamedTuple):
+    """The tools of the arms."""
+
+    tools: NDArray[np.void]
+    """`TOOL`: (r,)."""
+    hands: NDArray[np.int64]
+    """Number of the tool that each geom moves with, -1 for others: (ngeom,)."""
+    lips: NDArray[np.int64]
+    """Number of each geom among the points of a cup's lip, -1 for others: (ngeom,)."""
+
+
 @partial(compiled, told=True)
-def advance(
-    model,
-    data,
-    at,
-    h,
-    positions,
-    velocities,
-    motors,
-    targets,
-    gains,
-    most,
-    rates,
-    places,
-    material,
-    bodies,
-    peaks,
-    largest,
-    loads,
-    tools,
-    hands,
-    lips,
-    springs,
-    suction,
-):
+def advance(model, data, layout, h, positions, velocities, driven, touching, loads, carried, springs, suction):
     """Take a physics step of h seconds for each row of `targets`.
 
     Positions are half a step ahead of the velocities meanwhile (leapfrog): a pendulum keeps its energy, and a body in
@@ -495,25 +510,19 @@ def advance(
 
     Args:
         model, data: addresses of MuJoCo's.
-        at: `layout`.
+        layout: `OFFSETS`, (1,).
         positions, velocities: of the data: (nq,), (nv,).
-        motors: row of each motor among the constraints after those of equality: (m,); -1 without force.
-        targets: speed that a motor reaches in each physics step, or position that it moves to (n, m).
-        gains: 0 for a target speed, else the speed in 1/s by which a motor closes the distance to its position: (m,).
-        most: largest speed of a motor with a gain (m,).
-        rates: fraction of a difference from its speed that a motor removes per s: (m,).
-        places: position and velocity of each motor's joint in `positions` and `velocities`: (m, 2).
-        material: compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3).
-        bodies: of each geom.
-        peaks: written: the largest normal force in N between each two bodies in any of the steps (nbody, nbody).
-        largest: raised to the peaks.
-        loads: raised to the largest speed, acceleration and torque of each motor's joint (3, nv).
-        tools: of the arms, `TOOL` (r,).
-        hands: number of the tool that each geom moves with, -1 for others (ngeom,).
-        lips: number of each geom among the points of a cup's lip, -1 for others (ngeom,).
+        driven: `Driven`, with n rows of targets.
+        touching: `Touching`.
+        loads: raised to the largest speed, acceleration and torque of each motor's joint: (3, nv).
+        carried: `Hands`.
         springs: rows of the tools on a spring; None: there is none, and what it needs is not compiled.
-        suction: whether the cup of each tool sucks in each physics step (r, n); None likewise.
+        suction: whether the cup of each tool sucks in each physics step: (r, n); None likewise.
     """
+    at = layout[0]
+    motors, targets, gains, most, rates, places = driven
+    material, bodies, peaks, largest = touching
+    tools, hands, lips = carried
     steps, count = targets.shape
     peaks[:] = 0.0
     forces, before = np.zeros_like(peaks), velocities.copy()
@@ -521,7 +530,7 @@ def advance(
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, h / 2)
     for step in range(steps):
         _step1(model, data)
-        aref = _address(data + at[AREF]) + 8 * _integer(data + at[EQUALITIES])
+        aref = _address(data + at.efc_aref) + 8 * _integer(data + at.ne)
         for motor in range(count):
             target = targets[step, motor]
             if gains[motor] > 0:
@@ -529,12 +538,12 @@ def advance(
                 target = min(max(wanted, -most[motor]), most[motor])
             if motors[motor] >= 0:
                 _store(aref + 8 * motors[motor], rates[motor] * (target - velocities[places[motor, 1]]))
-        contact = _address(data + at[CONTACT])
-        for _ in range(_integer(data + at[CONTACTS])):
-            row = _integer(contact + at[ROW])
+        contact = _address(data + at.contact)
+        for _ in range(_integer(data + at.ncon)):
+            row = _integer(contact + at.efc_address)
             if row >= 0:
                 _touch(data, at, contact, row, h, material)
-            contact += at[STRIDE]
+            contact += at.contact_size
         if springs is not None:
             for tool in springs:
                 _pull(model, data, at, h, positions, velocities, tools[tool], (step + 0.5) * h)

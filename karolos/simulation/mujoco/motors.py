@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Quaternion, Vector
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Cup, Fingers, Frame, JointLimits, Loads, Spring
-from ..interface.engine import Body as AnyBody
-from .body import Body
+from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
+from .body import MujocoBody
 from .simulation import Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -20,7 +19,7 @@ LEAST_FORCE = 1e-9
 """N or N m: friction of a joint without friction."""
 
 
-class Motors:
+class MujocoMotors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
     MuJoCo has this constraint as dry friction, with the target speed 0: the kernel writes the acceleration that the
@@ -44,7 +43,7 @@ class Motors:
     def __init__(
         self,
         simulation: Simulation,
-        body: Body,
+        body: MujocoBody,
         limits: JointLimits,
         joints: Sequence[int],
         fingers: Fingers | None,
@@ -236,11 +235,11 @@ class Motors:
             opening = 1.0 if not sucks else 0.5 if self.holds() else 0.0
         return positions, velocities, opening
 
-    def holds(self, body: AnyBody | None = None) -> bool:
+    def holds(self, body: Body | None = None) -> bool:
         self._simulation.ready()
         if self._cup is None or self._row["held"] < 0:
             return False
-        bodies = (one for one in self._simulation.parts if isinstance(one, Body))
+        bodies = (one for one in self._simulation.parts if isinstance(one, MujocoBody))
         return body is None or any(one.index == body.index and self._row["held"] in one.ids for one in bodies)
 
     def loads(self) -> Loads:
@@ -256,7 +255,7 @@ class Passive:
         frictions: in N or N m, by the joint as the body counts it.
     """
 
-    def __init__(self, simulation: Simulation, body: Body, frictions: Mapping[int, float]) -> None:
+    def __init__(self, simulation: Simulation, body: MujocoBody, frictions: Mapping[int, float]) -> None:
         self._simulation, self._body = simulation, body
         self._order = {joint: place for place, joint in enumerate(frictions)}
         self._forces = list(frictions.values())

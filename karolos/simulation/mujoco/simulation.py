@@ -21,8 +21,6 @@ SMALLEST_MOBILITY = 1e-3
 """1/kg and 1/(kg m2) of a tool along a direction in which its arm cannot move it."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
-DRIVEN = "targets", "gains", "most", "rates", "places"
-"""What the kernel needs of motors."""
 _IMPORTING = Lock()
 
 
@@ -133,16 +131,16 @@ class Simulation:
 
     def advance(self, motors: Sequence[Any]) -> None:
         """Simulate one control step."""
-        data = self.ready()
+        data, model, kernel = self.ready(), self.model, self._kernel
+        names = kernel.Driven._fields[1:]
         if len(motors) == 1:
-            driven = [getattr(motors[0], name) for name in DRIVEN]
+            driven = [getattr(motors[0], name) for name in names]
         else:
             empty = np.zeros((self.substeps, 0)), *[np.zeros(0)] * 3, np.zeros((0, 2), np.int64)
             driven = [
                 np.concatenate([none, *(getattr(part, name) for part in motors)], axis=1 if name == "targets" else 0)
-                for none, name in zip(empty, DRIVEN, strict=True)
+                for none, name in zip(empty, names, strict=True)
             ]
-        kernel, model = self._kernel, self.model
         kernel.advance(
             model._address,
             data._address,
@@ -150,16 +148,10 @@ class Simulation:
             self.timestep,
             data.qpos,
             data.qvel,
-            self.rows[driven[-1][:, 1]],
-            *driven,
-            self.material,
-            model.geom_bodyid,
-            self.peaks,
-            self.largest,
+            kernel.Driven(self.rows[driven[-1][:, 1]], *driven),
+            kernel.Touching(self.material, model.geom_bodyid, self.peaks, self.largest),
             self.loads,
-            self.tools,
-            self.hands,
-            self.lips,
+            kernel.Hands(self.tools, self.hands, self.lips),
             self._springs,
             self.suction if self._cups else None,
         )

@@ -14,14 +14,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...core import Array, FloatArray
-from ...errors import MachineError, PluginError
+from ...errors import PluginError
 from .. import parts
+from ..engines import MUJOCO
 from ..fixtures import read
 from ..geometry import Colour, Vector
 from ..interface.engine import (
     FLOOR_FRICTION,
     OBJECT_MATERIAL,
     PHYSICS_RATE,
+    Body,
     Camera,
     Contact,
     Cup,
@@ -30,14 +32,13 @@ from ..interface.engine import (
     JointLimits,
     Stroke,
 )
-from ..interface.engine import Body as AnyBody
 from ..meshes import stl, triangles
 from ..parts import Mechanism
 from ..picture import Eye, Marker, draw
 from ..shapes import Inertia, Shape
 from ..urdf import link_of
-from .body import Body
-from .motors import Motors, Passive
+from .body import MujocoBody
+from .motors import MujocoMotors, Passive
 from .renderer import Renderer
 from .simulation import JOINT_IMPEDANCE, Simulation
 
@@ -46,7 +47,7 @@ MARGIN = 0.005
 when it is inside the other."""
 
 
-class World:
+class MujocoWorld:
     """Implements `interface.World`.
 
     Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
@@ -56,7 +57,7 @@ class World:
         substeps: physics steps per control step.
         rate: physics steps per second.
 
-    Raises MachineError when a window is requested: there is none.
+    Raises UsageError when a window is requested: there is none.
     """
 
     def __init__(
@@ -68,14 +69,14 @@ class World:
         camera: Camera | None = None,  # noqa: ARG002 (of a window)
     ) -> None:
         if window:
-            raise MachineError("the engine mujoco has no window", hint="set environment.engine=bullet, or make a film")
+            raise MUJOCO.lacks("window")
         self.substeps = substeps
         self.period, self.lead = substeps / rate, 0.0
         self._simulation = simulation = Simulation(substeps, 1 / rate, self._declare_pairs, self._write_surfaces)
         self._spec, self.api = simulation.spec, simulation.api
-        self._bodies: list[Body] = []
-        self._motors: list[Motors | Passive] = []
-        self._markers: list[tuple[Body, float, Colour]] = []
+        self._bodies: list[MujocoBody] = []
+        self._motors: list[MujocoMotors | Passive] = []
+        self._markers: list[tuple[MujocoBody, float, Colour]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
         self._shown: Any = None
         """MuJoCo's data of pictures, so that they leave the simulation as it is."""
@@ -106,7 +107,7 @@ class World:
     def set_floor_friction(self, friction: float) -> None:
         self.floor.set_friction(friction)
 
-    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
+    def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> MujocoBody:
         mechanism = read(source) if isinstance(source, Path) else source
         body = self._load(mechanism.robot, position=position)
         if mechanism.frictions:
@@ -124,7 +125,7 @@ class World:
 
     def _load(
         self, robot: Element, *, position: Vector = (0.0, 0.0, 0.0), free: bool = False, colour: Colour | None = None
-    ) -> Body:
+    ) -> MujocoBody:
         robot, meshes = _readable(robot)
         try:
             loaded = self.api.MjSpec.from_string(ElementTree.tostring(robot, encoding="unicode"), assets=meshes)
@@ -166,18 +167,18 @@ class World:
 
     def motors(
         self,
-        body: AnyBody,
+        body: Body,
         joints: Sequence[str],
         limits: JointLimits,
         fingers: Fingers | None,
         tool: Frame | None = None,
         cup: Cup | None = None,
-    ) -> Motors:
+    ) -> MujocoMotors:
         links = body.links()
         pads = [links[name] for name in fingers.links] if fingers else []
         arm = [links[name] for name in joints]
         own = self._bodies[body.index]
-        motors = Motors(self._simulation, own, limits, arm, fingers, pads, tool=tool, cup=cup)
+        motors = MujocoMotors(self._simulation, own, limits, arm, fingers, pads, tool=tool, cup=cup)
         self._motors.append(motors)
         self._simulation.parts.append(motors)
         if fingers is not None:
@@ -197,10 +198,10 @@ class World:
     def release_in_motion(self) -> None:
         """Nothing to do: contacts have no memory here."""
 
-    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> Body:
+    def body(self, shapes: Sequence[Shape], mass: float, colour: Colour, inertia: Inertia | None = None) -> MujocoBody:
         return self._load(parts.body(shapes, mass, inertia), free=mass > 0, colour=colour)
 
-    def marker(self, radius: float, colour: Colour) -> Body:
+    def marker(self, radius: float, colour: Colour) -> MujocoBody:
         name = f"{len(self._bodies)}/marker"
         self._spec.worldbody.add_body(name=name, mocap=True)
         marker = self._add([name], [[]], free=False)
@@ -210,7 +211,7 @@ class World:
     def forget_contacts(self) -> None:
         self._simulation.writable()
 
-    def contacts(self, first: AnyBody, second: AnyBody, link: int) -> list[Contact]:
+    def contacts(self, first: Body, second: Body, link: int) -> list[Contact]:
         data = self._simulation.ready()
         if not (self._simulation.stepped and data.ncon):
             return []
@@ -231,13 +232,13 @@ class World:
                 found.append(Contact(normal, force, distance))
         return found
 
-    def forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+    def forces(self, body: Body) -> dict[tuple[int, int], float]:
         return self._pressing(body, self._simulation.peaks) if self._simulation.stepped else {}
 
-    def largest_forces(self, body: AnyBody) -> dict[tuple[int, int], float]:
+    def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
         return self._pressing(body, self._simulation.largest)
 
-    def _pressing(self, body: AnyBody, between: FloatArray) -> dict[tuple[int, int], float]:
+    def _pressing(self, body: Body, between: FloatArray) -> dict[tuple[int, int], float]:
         """What presses on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
         own, found = self._bodies[body.index], dict[tuple[int, int], float]()
         bodies = {place: one.index for one in self._bodies for place in one.ids}
@@ -290,8 +291,8 @@ class World:
         lateral = own[model.pair_geom1] * own[model.pair_geom2]
         model.pair_friction[:, :2] = np.maximum(lateral, self.api.mjMINMU)[:, None]
 
-    def _add(self, names: Sequence[str], shapes: Sequence[Sequence[str]], *, free: bool) -> Body:
-        body = Body(self._simulation, len(self._bodies), names, shapes, free=free)
+    def _add(self, names: Sequence[str], shapes: Sequence[Sequence[str]], *, free: bool) -> MujocoBody:
+        body = MujocoBody(self._simulation, len(self._bodies), names, shapes, free=free)
         self._bodies.append(body)
         self._simulation.parts.append(body)
         self._simulation.restructure()
@@ -310,7 +311,7 @@ class World:
             for first, second in body.pairs:
                 self._pair(body, first, body, second)
 
-    def _pair(self, one: Body, first: int, other: Body, second: int) -> None:
+    def _pair(self, one: MujocoBody, first: int, other: MujocoBody, second: int) -> None:
         """Let all shapes of a link of one body collide with all shapes of a link of another."""
         for shape, opposite in product(one.shapes[first + 1], other.shapes[second + 1]):
             self._spec.add_pair(
