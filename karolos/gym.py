@@ -1,4 +1,4 @@
-"""Registers every robot with every task in gymnasium, as `karolos/<Robot><Task>-v1`.
+"""Registers every robot with every task in gymnasium, e.g. as `karolos/PandaReach-v1`.
 
     import gymnasium
     import karolos.gym
@@ -16,6 +16,7 @@ import gymnasium
 from .registry import entries
 
 ENTRY_POINT = "karolos.environments.gymnasium.export:RobotTaskEnv"
+VECTOR = "karolos.orchestrator.vector:robot_task_envs"
 _ACRONYMS = {"iiwa": "IIWA"}
 
 
@@ -43,4 +44,4 @@ def _class_names(kind: str) -> dict[str, str]:
 
 
 for name, (robot, task) in environment_ids().items():
-    gymnasium.register(name, ENTRY_POINT, kwargs={"robot": robot, "task": task})
+    gymnasium.register(name, ENTRY_POINT, vector_entry_point=VECTOR, kwargs={"robot": robot, "task": task})
