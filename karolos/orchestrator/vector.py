@@ -66,7 +66,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         if render_mode is not None:
             raise UsageError("worker processes make no pictures", hint='vectorization_mode="sync" makes them')
         if max_episode_steps not in (None, steps):
-            what = f"a limit of {max_episode_steps} steps has no effect: episodes end after {steps}"
+            what = f"max_episode_steps cannot be {max_episode_steps}: episodes have {steps}"
             raise UsageError(what, hint=f"give max_steps={max_episode_steps}, a setting of the task")
         self.num_envs, self._mode = num_envs, AutoresetMode(autoreset_mode)
         self.metadata = {"render_modes": [], "render_fps": self.facts.rate, "autoreset_mode": self._mode}
