@@ -10,7 +10,6 @@ from typing import Annotated
 import gymnasium
 from typer import Option
 
-
 from .side_by_side import Row, beside, take_turns
 
 ROUNDS = 64

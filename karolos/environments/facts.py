@@ -21,6 +21,8 @@ class Facts:
     """Control steps per second."""
     scales: dict[str, Scale]
     """By field of the robot's action; empty where the robot does not tell."""
+    base: str | None
+    """Where the robot stands, from which positions depend: its setting `base`; None where it has none."""
 
     def __deepcopy__(self, _: object) -> Facts:
         """The same, which never changes: observations are copied often."""
@@ -28,16 +30,20 @@ class Facts:
 
     @classmethod
     def of(cls, environment: Environment) -> Facts:
-        """Those of an environment, which need not be simulated."""
-        told = getattr(getattr(environment, "robot", None), "facts", dict)().get("action", ())
+        """Those of an environment; nothing is simulated."""
+        robot = getattr(environment, "robot", None)
+        told = getattr(robot, "facts", dict)().get("action", ())
         scales = {one["name"]: (one["unit"], tuple(one["scale"])) for one in told if "scale" in one}
-        return cls(environment.signature, environment.rate, scales)
+        base = getattr(getattr(robot, "settings", None), "base", None)
+        return cls(environment.signature, environment.rate, scales, base)
 
     def differences(self, trained: Facts) -> list[str]:
         """Why a policy that was trained under `trained` does not fit here, one line each."""
         lines = layout_differences(self.signature, trained.signature)
         if not isclose(self.rate, trained.rate, rel_tol=1e-6):
             lines.append(f"there are {self.rate:g} actions per second here and {trained.rate:g} there")
+        if None not in (self.base, trained.base) and self.base != trained.base:
+            lines.append(f"positions are those of robot.base={self.base} here and of {trained.base} there")
         for name, (unit, moved) in self.scales.items():
             known, there = trained.scales.get(name, (unit, moved))
             for one, other in zip(moved, there, strict=False):

@@ -29,8 +29,8 @@ def make(
     """The gymnasium environment that a spec describes, with all its settings.
 
     Args:
-        what: a spec file, or the name of a spec that ships, such as panda_push; or a run, as `karolos.load` takes it; or
-            a Spec. A file comes first, then a spec that ships, then a run. `shipped:panda_push` is the run that ships.
+        what: a spec file, or the name of a spec that ships, such as panda_push; a run, as `karolos.load` takes it; or a
+            Spec. A file comes first, then a spec that ships, then a run. `shipped:panda_push` is the run that ships.
         randomize: whether to draw the spec's `randomization` at each reset, as training does and tests do not.
         render_mode: None, "rgb_array", or "human": a window, if the engine has one.
         width: of a picture in pixels.

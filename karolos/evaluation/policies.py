@@ -98,9 +98,7 @@ class SavedAgent(Learned):
 
         return SpecEnv(self.spec, randomize=randomize, render_mode=render_mode, width=width, height=height)
 
-    def act(
-        self, observation: ArrayLike | Mapping[str, ArrayLike], goal: ArrayLike | None = None
-    ) -> NDArray[Any]:
+    def act(self, observation: ArrayLike | Mapping[str, ArrayLike], goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
 
         An observation of one of karolos' gymnasium environments knows where it comes from. It is refused if layouts,
@@ -147,7 +145,9 @@ class SavedAgent(Learned):
             raise UsageError(what, where="act", hint=hint)
         for name in ("observation", "desired_goal")[: 2 if self.signature.desired_goal.size else 1]:
             if name not in observation:
-                raise UsageError(f"the observation has no {name!r}, only {', '.join(observation)}", where="act", hint=own)
+                raise UsageError(
+                    f"the observation has no {name!r}, only {', '.join(observation)}", where="act", hint=own
+                )
 
     def policy(self) -> Policy:
         """Acts without exploration."""

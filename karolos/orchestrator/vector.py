@@ -95,7 +95,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
         seeds = [None if seed is None else seed + i for i in self._ids] if not isinstance(seed, Sequence) else seed
         if which.shape != (self.num_envs,) or which.dtype != np.bool_ or not which.any():
-            raise ValueError(f"reset_mask has the shape ({self.num_envs},) and the dtype bool, and marks an environment")
+            raise ValueError(f"reset_mask is an array of {self.num_envs} bool that marks an environment or more")
         if len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments")
         if self._over is None and not which.all():
@@ -122,9 +122,9 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             places = "" if begun is None else f" with reset_mask; over: {np.flatnonzero(begun).tolist()}"
             raise gymnasium.error.ResetNeeded(f"call reset first{places}")
         given = np.asarray(actions, np.float32).reshape(self.num_envs, -1)
+        self._orchestrator.step(self._ids[~begun], given[~begun])  # first: it may refuse the actions
         if begun.any():
             self._begin(begun)
-        self._orchestrator.step(self._ids[~begun], given[~begun])
         step = self._latest = self._received()
         over = step.terminated | step.truncated
         infos: Infos = {}
@@ -195,8 +195,11 @@ class _Uneven(Local):
 
 def _put(infos: Infos, which: BoolArray, entries: Mapping[str, Any]) -> Infos:
     """Add entries of the marked environments, 0 elsewhere, and below `_name` the marks, as gymnasium does."""
-    for name, value in entries.items() if which.any() else ():
-        infos[name] = value if isinstance(value, dict) or value.dtype == object else np.where(which, value, value.dtype.type(0))
+    if not which.any():
+        return infos
+    for name, value in entries.items():
+        plain = isinstance(value, np.ndarray) and value.dtype != object
+        infos[name] = np.where(which, value, value.dtype.type(0)) if plain else value
         infos[f"_{name}"] = which.copy()
     return infos
 
@@ -211,7 +214,7 @@ def robot_task_envs(
 ) -> VectorGoalEnv:
     """Several `RobotTaskEnv`; arguments as of `VectorGoalEnv` and of that class."""
     own = {name: settings.pop(name) for name in OPTIONS if name in settings}
-    return VectorGoalEnv(robot_task_recipe(robot, task, settings, randomization), num_envs, **own)
+    return VectorGoalEnv(robot_task_recipe(robot, task, settings, randomization or {}), num_envs, **own)
 
 
 def spec_envs(num_envs: int = 1, *, spec: Mapping[str, Any], randomize: bool = False, **own: Any) -> VectorGoalEnv:

@@ -209,7 +209,7 @@ class RobotTaskEnv(GoalEnv):
         randomization: Mapping[str, Mapping[str, Any]] | None = None,
         **settings: Any,
     ) -> None:
-        recipe = robot_task_recipe(robot, task, settings, randomization)
+        recipe = robot_task_recipe(robot, task, settings, randomization or {})
         super().__init__(_opened(recipe, render_mode), render_mode=render_mode, width=width, height=height)
 
 
@@ -259,9 +259,7 @@ def _opened(recipe: Recipe, render_mode: str | None) -> Environment:
     return build_environment(recipe)
 
 
-def robot_task_recipe(
-    robot: str, task: str, settings: Mapping[str, Any], randomization: Mapping[str, Any] | None
-) -> Recipe:
+def robot_task_recipe(robot: str, task: str, settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Recipe:
     """A recipe in which each part has the settings that it declares."""
     named = {"robot": ("robots", robot), "task": ("tasks", task), "environment": ("environments", "robot_task")}
     models = {what: load(*plugin).Settings for what, plugin in named.items()}
@@ -277,7 +275,7 @@ def robot_task_recipe(
         own = {name: value for name, value in settings.items() if name in models[what].model_fields}
         parts[what] = Part(*plugin, _valid(what, models[what].model_validate, own))
     distributions = OfKind("distributions").validate
-    drawn = ((name, _valid(f"randomization.{name}", distributions, dict(one))) for name, one in (randomization or {}).items())
+    drawn = ((name, _valid(f"randomization.{name}", distributions, dict(one))) for name, one in randomization.items())
     return Recipe(**parts, randomization=tuple(sorted(drawn)))
 
 
