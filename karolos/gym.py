@@ -47,7 +47,7 @@ def _class_names(kind: str) -> dict[str, str]:
 
 
 for newest, (robot, task) in environment_ids().items():
-    more = {newest: {"max_steps": STEPS[task]}} if task in STEPS else {}
-    for name, steps in ({newest[:-1] + "1": {}} | more).items():
+    for name in dict.fromkeys((newest[:-1] + "1", newest)):
+        steps = {"max_steps": STEPS[task]} if name.endswith("2") else {}
         kwargs = {"robot": robot, "task": task, **steps}
         gymnasium.register(name, ENTRY_POINT, vector_entry_point=VECTOR, kwargs=kwargs)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import isclose
+from typing import Any
 
 from ..core import Environment, Signature
 from ..core.signature import layout_differences
@@ -32,8 +33,8 @@ class Facts:
     def of(cls, environment: Environment) -> Facts:
         """Those of an environment; nothing is simulated."""
         robot = getattr(environment, "robot", None)
-        told = getattr(robot, "facts", dict)().get("action", ())
-        scales = {one["name"]: (one["unit"], tuple(one["scale"])) for one in told if "scale" in one}
+        facts: dict[str, Any] = getattr(robot, "facts", dict)()
+        scales = {one["name"]: (one["unit"], tuple(one["scale"])) for one in facts.get("action", ()) if "scale" in one}
         base = getattr(getattr(robot, "settings", None), "base", None)
         return cls(environment.signature, environment.rate, scales, base)
 

@@ -93,7 +93,11 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             options: `reset_mask`, (n,) bool: resets the marked environments alone.
         """
         which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
-        seeds = [None if seed is None else seed + i for i in self._ids] if not isinstance(seed, Sequence) else seed
+        seeds = (
+            [None if seed is None else seed + i for i in range(self.num_envs)]
+            if not isinstance(seed, Sequence)
+            else seed
+        )
         if which.shape != (self.num_envs,) or which.dtype != np.bool_ or not which.any():
             raise ValueError(f"reset_mask is an array of {self.num_envs} bool that marks an environment or more")
         if len(seeds) != self.num_envs:

@@ -47,7 +47,7 @@ def pair(
         UsageError: the robot or the task is unknown.
         PluginError: the task does not work with the robot.
     """
-    length = {} if steps is None else {"max_steps": steps}
+    length: dict[str, Any] = {} if steps is None else {"max_steps": steps}
     return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task), **length)
 
 

@@ -96,7 +96,7 @@ def test_a_policy_succeeds_in_its_environment(policy: SavedAgent) -> None:
     ("settings", "told"),
     [
         ({"substeps": 20}, "there are 12 actions per second here and 24 there"),
-        ({"tool_step": 0.01}, r"an action of 1 in tool_position_change is 0.01 m here and 0.034 m there"),
+        ({"tool_step": 0.01}, "an action of 1 in tool_position_change is 0.01 m here and 0.017 m there"),
         ({"base": "centred"}, "robot.base=centred here"),
         ({"control": "joint"}, "action is .joint_changes 7"),
     ],

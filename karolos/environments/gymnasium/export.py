@@ -55,7 +55,9 @@ class Goals:
         """Of one environment's observations, and of its actions."""
         signature = self.facts.signature
         sizes = {name: getattr(signature, name).size for name in OBSERVED}
-        boxes = {name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()}
+        boxes: dict[str, gymnasium.Space[Any]] = {
+            name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()
+        }
         if isinstance(signature.action, Discrete):
             return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Discrete(len(signature.action.labels))
         return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-1.0, 1.0, (signature.action.size,), np.float32)
