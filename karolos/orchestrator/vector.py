@@ -183,7 +183,8 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return infos
 
     def close_extras(self, **_: Any) -> None:
-        self._orchestrator.close()
+        if hasattr(self, "_orchestrator"):  # gymnasium closes what could not be made, too
+            self._orchestrator.close()
 
 
 class _Uneven(Local):

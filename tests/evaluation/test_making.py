@@ -12,11 +12,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import karolos
-from karolos.environments.facts import Facts
 from karolos.environments.gymnasium.export import GoalEnv
 from karolos.errors import NoSuchRunError, SpecError, UsageError
 from karolos.evaluation.policies import SavedAgent
-from karolos.gym import environment_ids
 from karolos.records.shipped import FOLDER
 from karolos.specification import load_spec, spec_from_dict
 
@@ -136,11 +134,3 @@ def test_what_critics_alone_observe_may_be_there() -> None:
     saved = SavedAgent("run", "best", "", 0, 0.0, {}, load_spec("panda_insert_blind"), facts, Agent())  # type: ignore[arg-type]
     saved.act(environment.reset(seed=0)[0])
     assert seen == [((1, facts.signature.observation.acting.size), (1, facts.signature.desired_goal.size))]
-
-
-def test_the_facts_of_every_pair_are_alike_for_robots_in_cartesian_control() -> None:
-    for task in {task for _, task in environment_ids().values()}:
-        pairs = [name for name, (_, its) in environment_ids().items() if its == task]
-        facts = [gymnasium.make(name).unwrapped.facts for name in pairs]  # type: ignore[attr-defined]
-        if "joint" not in str(facts[0].scales):
-            assert all(isinstance(one, Facts) and not one.differences(facts[0]) for one in facts), task
