@@ -156,8 +156,8 @@ def _steps(build: Build, what: str, environments: int, seconds: float, turns: in
     kinds = list(product((0, *counts), ("lockstep", "asynchronous")))
     contestants: dict[tuple[int, str], Callable[[int], float]] = {kind: partial(rate, *kind) for kind in kinds}
     for count in (0, *counts):
-        peer = (count, "async") if count else (environments, "sync")  # its processes have one environment each
-        contestants[count, "gymnasium"] = partial(vector_rate, _id(*what.split()), *peer, seconds)
+        kind = (count, "async") if count else (environments, "sync")  # its processes have one environment each
+        contestants[count, "gymnasium"] = partial(vector_rate, _id(*what.split()), *kind, seconds)
     rates = take_turns(contestants, turns=turns)
     for count, mode in kinds:
         found, case = rates[count, mode], f"{what} {count} processes x {environments} environments, {mode}"

@@ -40,7 +40,7 @@ def measure(
 
 def vector_rate(name: str, count: int, mode: str, seconds: float, _: int) -> float:
     """Steps per second of `count` environments that `gymnasium.make_vec` makes."""
-    more = {"vector_kwargs": {"context": "forkserver"}} if mode == ASYNC else {}
+    more: dict[str, Any] = {"vector_kwargs": {"context": "forkserver"}} if mode == ASYNC else {}
     together: Any = gymnasium.make_vec(f"karolos.gym:{name}", num_envs=count, vectorization_mode=mode, **more)
     together.reset(seed=0)
     together.action_space.seed(0)
