@@ -13,7 +13,6 @@ from support.processes import kill_worker
 
 import karolos
 from karolos.errors import RunError, UsageError, WorkerError
-from karolos.specification import spec_from_dict
 
 DRAWN = {"task.gravity": {"name": "normal", "mean": -9.8, "std": 0.1}}
 FORCES = {"limit": 1, "weight": 2, "most": 3}
@@ -126,9 +125,3 @@ def test_after_a_lost_worker_all_begin_again() -> None:
     again = together.reset(seed=0)[0]
     np.testing.assert_array_equal(again["observation"], first["observation"])
     together.close()
-
-
-def test_an_environment_without_goals_is_refused() -> None:
-    spec = {"environment": {"name": "gymnasium", "id": "CartPole-v1"}, "agent": "dqn"}
-    with pytest.raises(UsageError, match="no goals"):
-        karolos.make(spec_from_dict(spec))
