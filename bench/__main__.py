@@ -21,7 +21,7 @@ from karolos.errors import KarolosError
 if TYPE_CHECKING:
     from .side_by_side import Row
 
-BENCHMARKS = ("updates", "buffers", "environment", "experts", "orchestrator", "store", "peer", "panda_gym")
+BENCHMARKS = ("updates", "buffers", "environment", "experts", "orchestrator", "store", "vector", "peer", "panda_gym")
 
 
 def main(arguments: Sequence[str]) -> None:

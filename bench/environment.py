@@ -25,7 +25,7 @@ from .side_by_side import Row, beside, require, seconds_of, take_turns
 
 PANDA_GYM_TASKS = {
     "reach": ("karolos/PandaReach-v1", "PandaReach-v3"),
-    "pick_place": ("karolos/PandaPickPlace-v1", "PandaPickAndPlace-v3"),
+    "pick_place": ("karolos/PandaPickPlace-v2", "PandaPickAndPlace-v3"),
 }
 PANDA_GYM_STEPS = 50
 """Steps of an episode of either. panda-gym steps at 25 Hz, karolos at 24."""

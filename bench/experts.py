@@ -15,6 +15,7 @@ from typer import Option
 from karolos.errors import KarolosError
 from karolos.evaluation.playing import score
 from karolos.evaluation.policies import expert_policy, random_policy
+from karolos.gym import STEPS
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine
@@ -29,6 +30,7 @@ def measure(
     episodes: Annotated[int, Option(min=1)] = 200,
     engine: Engine | None = None,
     seed: Annotated[int, Option(min=0)] = 0,
+    steps: Annotated[int | None, Option(min=1)] = None,
     jobs: Annotated[int, Option(min=1)] = cores(),
 ) -> Iterator[Row]:
     """Success at the end per pair, in their order, as soon as it is known. Both policies play the same test episodes.
@@ -40,6 +42,7 @@ def measure(
         pair: ROBOT/TASK; by default all that go together. Why the others do not is said.
         episodes: of each policy.
         seed: root of the episodes' seeds.
+        steps: of an episode; by default those of the pair's newest id in gymnasium.
         jobs: processes, each measuring one pair at a time.
     """
     cases = []
@@ -55,11 +58,11 @@ def measure(
             cases.append((robot, task))
     context = multiprocessing.get_context("spawn")
     with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=context) as pool:
-        yield from pool.map(partial(_row, engine, episodes, seed), cases)
+        yield from pool.map(partial(_row, engine, episodes, seed, steps), cases)
 
 
-def _row(engine: Engine | None, episodes: int, seed: int, case: tuple[str, str]) -> Row:
-    environment = inspection.pair(*case, engine)
+def _row(engine: Engine | None, episodes: int, seed: int, steps: int | None, case: tuple[str, str]) -> Row:
+    environment = inspection.pair(*case, engine, steps=steps or STEPS.get(case[1]))
     expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
     random = score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
     environment.close()

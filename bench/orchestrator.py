@@ -21,19 +21,19 @@ from typer import Option
 
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
 from karolos.environments.build import build_environment
+from karolos.gym import environment_ids
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.ray import Ray
 from karolos.specification import spec_from_dict
 from karolos.system import cores
 
 from .side_by_side import Row, beside, seconds_of, take_turns
+from .vector import ROUNDS, vector_rate
 
 WAIT = 2e-3
 """Seconds that a step of the waiting environment takes, as a device or another program would."""
 RAY_WAITS = (3e-4, 1e-3, 3e-3, 1e-2)
 """Seconds per step of the environments that actors of Ray step."""
-ROUNDS = 64
-"""Rounds of random actions that are drawn before the measurement and then repeated."""
 AtLeastOne = Annotated[int, Option(min=1)]
 Build = Callable[[], Environment]
 
@@ -156,7 +156,8 @@ def _steps(build: Build, what: str, environments: int, seconds: float, turns: in
     kinds = list(product((0, *counts), ("lockstep", "asynchronous")))
     contestants: dict[tuple[int, str], Callable[[int], float]] = {kind: partial(rate, *kind) for kind in kinds}
     for count in (0, *counts):
-        contestants[count, "gymnasium"] = partial(_peer_steps, what.split(), count, environments, seconds)
+        kind = (count, "async") if count else (environments, "sync")  # its processes have one environment each
+        contestants[count, "gymnasium"] = partial(vector_rate, _id(*what.split()), *kind, seconds)
     rates = take_turns(contestants, turns=turns)
     for count, mode in kinds:
         found, case = rates[count, mode], f"{what} {count} processes x {environments} environments, {mode}"
@@ -168,25 +169,8 @@ def _steps(build: Build, what: str, environments: int, seconds: float, turns: in
         yield Row(f"parent's CPU time, {count} processes", 1e6 * median(cost), "us/step")
 
 
-def _peer_steps(pair: list[str], processes: int, environments: int, seconds: float, _: int) -> float:
-    """Steps per second of gymnasium's vector environment; its processes have one environment each."""
-    from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv  # noqa: PLC0415  (takes a while)
-
-    from karolos.environments.gymnasium.export import RobotTaskEnv  # noqa: PLC0415
-
-    make, forked = partial(RobotTaskEnv, *pair), partial(AsyncVectorEnv, context="forkserver")
-    together: Any = forked([make] * processes) if processes else SyncVectorEnv([make] * environments)
-    together.reset(seed=0)
-    together.action_space.seed(0)
-    actions = [together.action_space.sample() for _ in range(ROUNDS)]
-    together.step(actions[0])
-    steps, started = 0, perf_counter()
-    while steps == 0 or perf_counter() - started < seconds:
-        together.step(actions[steps // together.num_envs % ROUNDS])
-        steps += together.num_envs
-    rate = steps / (perf_counter() - started)
-    together.close()
-    return rate
+def _id(*pair: str) -> str:
+    return next(name for name, its in environment_ids().items() if its == pair)
 
 
 def _waiting(threads: int, seconds: float) -> Iterator[Row]:

@@ -6,19 +6,21 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .evaluation.making import make
     from .evaluation.policies import load_run as load
     from .launchers.experiment import Experiment
     from .store.query import runs
 
 __version__ = "0.2.0"
-__all__ = ["Experiment", "load", "runs"]
+__all__ = ["Experiment", "load", "make", "runs"]
 
 _LAZY = {
     "Experiment": ("launchers.experiment", "Experiment"),
     "load": ("evaluation.policies", "load_run"),
+    "make": ("evaluation.making", "make"),
     "runs": ("store.query", "runs"),
 }
-"""Importing karolos takes milliseconds; these import torch or sqlalchemy at their first use."""
+"""Importing karolos takes milliseconds; these import torch, gymnasium or sqlalchemy at their first use."""
 
 
 def __getattr__(name: str) -> Any:

@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,6 +16,7 @@ from ..core import Agent, Discrete, Environment, Signature, State, Step, random_
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
+from ..environments.facts import Facts
 from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
 from ..files import read_object
@@ -26,6 +27,9 @@ from ..registry import blaming, load
 from ..simulation.engines import ENGINES, PhysicsEngine, installed_one
 from ..specification import Spec, spec_from_dict
 from ..store.query import find_folder, index
+
+if TYPE_CHECKING:
+    from ..environments.gymnasium.export import GoalEnv
 
 
 @dataclass(frozen=True)
@@ -63,11 +67,16 @@ class SavedAgent(Learned):
 
     spec: Spec
     """Of the run. Its engine may be missing here: see `playable`."""
-    signature: Signature
+    facts: Facts
     """Of the environment that the agent was trained in."""
     agent: Agent
     tested: TestCounts | None = None
     """Its final test, or the test at its steps."""
+
+    @property
+    def signature(self) -> Signature:
+        """Of the environment that the agent was trained in."""
+        return self.facts.signature
 
     def __repr__(self) -> str:
         """Two lines: whose policy it is and how good, and what goes in and out."""
@@ -82,20 +91,38 @@ class SavedAgent(Learned):
         sizes = f"observation {signature.observation.acting.size}, goal {signature.desired_goal.size}"
         return f"{whose}: {good}\n{self.spec.name}: {sizes} -> {action}"
 
-    def act(self, observation: ArrayLike, goal: ArrayLike | None = None) -> NDArray[Any]:
+    def environment(
+        self, *, randomize: bool = False, render_mode: str | None = None, width: int = 640, height: int = 480
+    ) -> GoalEnv:
+        """The gymnasium environment that the agent was trained in, see `karolos.make`."""
+        from ..environments.gymnasium.export import SpecEnv  # noqa: PLC0415  (imports gymnasium)
+
+        return SpecEnv(self.spec, randomize=randomize, render_mode=render_mode, width=width, height=height)
+
+    def act(self, observation: ArrayLike | Mapping[str, ArrayLike], goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
 
+        An observation of one of karolos' gymnasium environments knows where it comes from. It is refused if layouts,
+        rate or the scale of actions are others there than in training. Of other arrays only sizes can be checked.
+
         Args:
-            observation: (o,), or (n, o) for n actions.
+            observation: (o,), or (n, o) for n actions, with or without the columns that critics alone observe; or the
+                dict of a gymnasium environment, which holds the goal, too.
             goal: (g,) or (n, g); may be left out if the environment has no goal.
 
         Returns:
             (a,) or (n, a), float32 in [-1, 1]; or the indices of discrete actions.
 
         Raises:
-            UsageError: a shape does not fit the environment of the run, or a number is nan or infinite.
+            UsageError: the observation does not fit the environment of the run, or a number is nan or infinite.
         """
+        if isinstance(observation, Mapping):
+            self._check_origin(observation)
+            goal = observation.get("desired_goal") if goal is None else goal
+            observation = observation["observation"]
         seen = np.asarray(observation, np.float32)
+        if seen.shape[-1:] == (self.signature.observation.size,):
+            seen = seen[..., : self.signature.observation.acting.size]
         ahead = seen.shape[:-1]
         wanted = np.zeros((*ahead, 0), np.float32) if goal is None else np.asarray(goal, np.float32)
         layouts = (self.signature.observation.acting, self.signature.desired_goal)
@@ -109,6 +136,19 @@ class SavedAgent(Learned):
                 raise UsageError(what, where="act", hint="stop the robot, and look at its sensor")
         actions = np.asarray(self.agent.act(np.atleast_2d(seen), np.atleast_2d(wanted), explore=False))
         return actions if ahead else actions[0]
+
+    def _check_origin(self, observation: Mapping[str, Any]) -> None:
+        """Raise UsageError for an observation of an environment that the policy does not fit."""
+        own = "karolos.load(...).environment() is what it was trained in"
+        if differences := getattr(observation, "facts", self.facts).differences(self.facts):
+            what = f"{self.run} was trained in another environment: " + "; ".join(differences)
+            hint = f"{own}; act(observation['observation'], observation['desired_goal']) asks for sizes alone"
+            raise UsageError(what, where="act", hint=hint)
+        for name in ("observation", "desired_goal")[: 2 if self.signature.desired_goal.size else 1]:
+            if name not in observation:
+                raise UsageError(
+                    f"the observation has no {name!r}, only {', '.join(observation)}", where="act", hint=own
+                )
 
     def policy(self) -> Policy:
         """Acts without exploration."""
@@ -170,14 +210,15 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     spec, learned = spec_of(folder), read_learned(folder, name)
     if changed := provenance.edited(folder.description(), spec.files()):
         warnings.warn(f"{folder.id} was made before {', '.join(changed)} was edited: results may differ", stacklevel=2)
-    signature = signature_of(playable(spec))
-    agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, signature, SeedTree(0), "cpu")
+    with used(environment_of(playable(spec))) as environment:
+        facts = Facts.of(environment)
+    agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, facts.signature, SeedTree(0), "cpu")
     with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):
         if isinstance(learned.state, Deployed):
             agent.adopt(learned.state)
         else:
             agent.load_state(learned.state)
-    return SavedAgent(**vars(learned), spec=spec, signature=signature, agent=agent, tested=_test_of(folder, learned))
+    return SavedAgent(**vars(learned), spec=spec, facts=facts, agent=agent, tested=_test_of(folder, learned))
 
 
 def _test_of(folder: RunFolder, learned: Learned) -> TestCounts | None:

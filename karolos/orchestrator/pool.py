@@ -133,9 +133,11 @@ class WorkerPool(Backend):
     def __init__(self, layout: Sequence[Sequence[range]], time_limit: float, failures: int) -> None:
         self._layout = layout
         self._places = [(worker, channel) for worker, ranges in enumerate(layout) for channel in range(len(ranges))]
-        """All pairs of worker and channel. Each has as many environments."""
-        self._environments_each = len(layout[0][0])
-        self._size = len(self._places) * self._environments_each
+        """All pairs of worker and channel."""
+        counts = [len(ids) for ranges in layout for ids in ranges]
+        self._place_of = np.repeat(np.arange(len(counts)), counts)
+        """The place in `_places` of each environment."""
+        self._size = sum(counts)
         self._time_limit = time_limit
         self._check_interval = min(CHECK_INTERVAL, time_limit / 4)
         self._next_check = monotonic() + self._check_interval
@@ -181,7 +183,7 @@ class WorkerPool(Backend):
         while not all(channel.ready for worker in self._workers for channel in worker.channels):
             _, failed = self.collect()
             for failure in failed:
-                number, _ = self._places[failure.environment[0] // self._environments_each]
+                number, _ = self._places[self._place_of[failure.environment[0]]]
                 if not failure.lost or losses[number] == failures:
                     raise failure.error
                 losses[number] += 1
@@ -205,7 +207,7 @@ class WorkerPool(Backend):
 
     def _plan(self, environments: Ids) -> list[tuple[Channel, Group, dict[bytes, bytes]]]:
         """The channels of these environments, the environments of each, and the message for each command."""
-        places = environments // self._environments_each
+        places = self._place_of[environments]
         plan = []
         for place in np.unique(places).tolist():
             worker, channel = self._places[place]
@@ -216,7 +218,7 @@ class WorkerPool(Backend):
 
     def _replace(self, environments: Ids) -> None:
         """Replace the lost workers of these environments."""
-        for number in sorted({self._places[place][0] for place in environments // self._environments_each}):
+        for number in sorted({self._places[place][0] for place in self._place_of[environments]}):
             if self._workers[number].lost:
                 with suppress(MachineError):  # the worker stays lost, and fails again
                     self._workers[number] = self._start(number)

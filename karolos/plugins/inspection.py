@@ -38,14 +38,17 @@ class Inspection:
     picture: NDArray[np.uint8] | None = None
 
 
-def pair(robot: str, task: str, engine: Engine | None = None, **robot_settings: Any) -> RobotTask:
-    """A robot with a task at their defaults, except the engine and the given settings of the robot.
+def pair(
+    robot: str, task: str, engine: Engine | None = None, *, steps: int | None = None, **robot_settings: Any
+) -> RobotTask:
+    """A robot with a task at their defaults, except the engine, the steps of an episode and settings of the robot.
 
     Raises:
         UsageError: the robot or the task is unknown.
         PluginError: the task does not work with the robot.
     """
-    return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task))
+    length: dict[str, Any] = {} if steps is None else {"max_steps": steps}
+    return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task), **length)
 
 
 @blaming()

@@ -107,7 +107,7 @@ def test_the_store_is_rebuilt_asked_and_written_to(
 
 
 EPISODES = 24
-"""In four of these episodes the Panda's expert misses."""
+"""In four of these episodes the Panda's expert misses with 50 steps."""
 
 
 def successes(environment: RobotTask, *, expert: bool) -> list[list[bool]]:
@@ -129,7 +129,7 @@ def successes(environment: RobotTask, *, expert: bool) -> list[list[bool]]:
 
 
 def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_processes() -> None:
-    row = next(experts.measure(pair=["panda/push", "ur5/reach"], episodes=EPISODES, jobs=2)).dump()
+    row = next(experts.measure(pair=["panda/push", "ur5/reach"], episodes=EPISODES, steps=50, jobs=2)).dump()
     environment = pair("panda", "push")
     by_expert, by_chance = successes(environment, expert=True), successes(environment, expert=False)
     environment.close()

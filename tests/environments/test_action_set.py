@@ -96,7 +96,7 @@ def test_an_index_is_found_in_any_form_it_travels_in() -> None:
 
 
 def test_gymnasium_has_the_set_as_a_discrete_space() -> None:
-    environment = gymnasium.make("karolos.gym:karolos/PandaPickPlace-v1", actions="discrete")
+    environment = gymnasium.make("karolos.gym:karolos/PandaPickPlace-v2", actions="discrete")
     assert environment.action_space == gymnasium.spaces.Discrete(9)
 
 

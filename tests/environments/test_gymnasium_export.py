@@ -15,6 +15,8 @@ from support.rig import ENGINES
 from karolos.environments.build import build_environment
 from karolos.environments.gymnasium.export import GoalEnv, RobotTaskEnv
 from karolos.errors import UsageError
+from karolos.evaluation.playing import score
+from karolos.evaluation.policies import expert_policy
 from karolos.gym import environment_ids
 from karolos.specification import spec_from_dict
 
@@ -24,8 +26,22 @@ SHOWN = [name for name in IDS if name.startswith("karolos/Panda") or name.endswi
 
 
 def test_every_pair_of_the_registry_has_an_id() -> None:
-    assert "karolos/PandaReach-v1" in IDS
+    assert {"karolos/PandaReach-v1", "karolos/PandaPush-v2"} <= set(IDS)
     assert set(IDS) <= set(gymnasium.registry)
+
+
+def test_an_id_whose_episodes_became_longer_stays_and_gymnasium_says_that_there_is_a_newer_one() -> None:
+    with pytest.warns(DeprecationWarning, match="PandaPush-v1 is out of date.*upgrading to version `v2`"):
+        older = gymnasium.make("karolos/PandaPush-v1")
+    steps = [one.spec.max_episode_steps for one in (older, gymnasium.make("karolos/PandaPush-v2"))]
+    assert steps == [50, 75]
+
+
+@pytest.mark.parametrize("name", ["karolos/PandaPush-v2", "karolos/PandaPickPlace-v2"])
+def test_the_expert_solves_what_was_too_short_for_it(name: str) -> None:
+    environment = gymnasium.make(name).unwrapped._environment
+    assert score(environment, expert_policy(environment), episodes=24, seed=0).success_end == 1
+    environment.close()
 
 
 @pytest.mark.parametrize("name", SHOWN)

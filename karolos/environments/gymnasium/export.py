@@ -18,19 +18,75 @@ from ...core import Discrete, Environment, Step
 from ...errors import UsageError
 from ...registry import alternatives, load
 from ...simulation.engines import ENGINES
+from ...specification import Spec, spec_from_dict
 from ...specification.parts import Part, Recipe
 from ...system import has_display
 from ..build import build_environment
+from ..facts import Facts
 from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
 RENDER_MODES = ["human", "rgb_array"] if has_display() else ["rgb_array"]
 """Those that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
 
-Observation = dict[str, NDArray[np.float32]]
+
+class Observation(dict[str, NDArray[np.float32]]):
+    """A dict of `observation`, `achieved_goal` and `desired_goal` that knows the environment it comes from.
+
+    Leading axes: none, or one over environments. A policy asks the `facts`. A copy made of the entries has none.
+    """
+
+    def __init__(self, step: Step, facts: Facts) -> None:
+        super().__init__({name: np.array(getattr(step, name)) for name in OBSERVED})
+        self.facts = facts
 
 
-class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
+class Goals:
+    """What gymnasium's goal environments answer about goals, of one environment or several."""
+
+    def __init__(self, facts: Facts) -> None:
+        if facts.signature.goal_rule is None:
+            raise UsageError("the environment has no goals", setting="environment")
+        self.facts = facts
+        self._rule = facts.signature.goal_rule
+
+    @property
+    def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.Space[Any]]:
+        """Of one environment's observations, and of its actions."""
+        signature = self.facts.signature
+        sizes = {name: getattr(signature, name).size for name in OBSERVED}
+        boxes: dict[str, gymnasium.Space[Any]] = {
+            name: gymnasium.spaces.Box(-np.inf, np.inf, (size,), np.float32) for name, size in sizes.items()
+        }
+        if isinstance(signature.action, Discrete):
+            return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Discrete(len(signature.action.labels))
+        return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-1.0, 1.0, (signature.action.size,), np.float32)
+
+    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it.
+
+        A batch has a list of infos, or one info for all; with None or {} nothing is added.
+        """
+        reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
+        if self.facts.signature.extra_reward != (0.0, 0.0):
+            if info is None or isinstance(info, Mapping):
+                reward = reward + np.float32((info or {}).get("extra_reward", 0.0))
+            else:
+                extra = np.array([one.get("extra_reward", 0.0) for one in info], np.float32)
+                reward = reward + extra.reshape(np.shape(reward))
+        return float(reward) if np.ndim(reward) == 0 else reward
+
+    def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
+        """Whether the achieved goals end the episode: (...)."""
+        ends = self._rule.terminated(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
+        return bool(ends) if np.ndim(ends) == 0 else ends
+
+    def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: Mapping[str, Any]) -> bool:  # noqa: ARG002
+        """Whether the step that gave this info was truncated, which does not depend on goals."""
+        return bool(info.get("truncated", False))
+
+
+class GoalEnv(Goals, gymnasium.Env[Observation, NDArray[np.float32]]):
     """An environment of karolos with goals, with gymnasium's interface for goal environments.
 
     Observation: a dict of `observation` (o,), `achieved_goal` (a,) and `desired_goal` (d,), float32. Action: (n,) in
@@ -54,28 +110,16 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     def __init__(
         self, environment: Environment, *, render_mode: str | None = None, width: int = 640, height: int = 480
     ) -> None:
-        signature = environment.signature
-        if signature.goal_rule is None:
-            raise UsageError("the environment has no goals", setting="environment")
+        super().__init__(Facts.of(environment))
         self.render_mode = render_mode
         self._size = (width, height)
         self.metadata = {**type(self).metadata, "render_fps": environment.rate}
+        if isinstance(environment, RobotTask) and "window" not in ENGINES[environment.settings.engine].abilities:
+            self.metadata["render_modes"] = ["rgb_array"]
         self._environment = environment
-        self._rule = signature.goal_rule
         self._shown = 0.0
         """When the window last showed a step, in s."""
-        action = signature.action
-        self.action_space = (
-            gymnasium.spaces.Discrete(len(action.labels))  # type: ignore[assignment]  # an index
-            if isinstance(action, Discrete)
-            else gymnasium.spaces.Box(-1.0, 1.0, (action.size,), np.float32)
-        )
-        self.observation_space = gymnasium.spaces.Dict(  # type: ignore[assignment]  # a Dict of Boxes is what it gives
-            {
-                name: gymnasium.spaces.Box(-np.inf, np.inf, (getattr(signature, name).size,), np.float32)
-                for name in OBSERVED
-            }
-        )
+        self.observation_space, self.action_space = self.spaces  # type: ignore[assignment]  # Discrete has an index
 
     @property
     def spec(self) -> EnvSpec | None:
@@ -99,7 +143,7 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         info = self._info(step, started=False) | {"seed": episode}
         if names:
             info["parameters"] = dict(zip(names, values, strict=True))
-        return _observed(step), info
+        return Observation(step, self.facts), info
 
     def _refuse_longer_limits(self) -> None:
         """Raise UsageError for a TimeLimit around this environment that would never end an episode."""
@@ -125,36 +169,13 @@ class GoalEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if measures and (step.terminated or step.truncated):
             values = self._environment.measures().tolist()
             info["measures"] = {one.name: value for one, value in zip(measures, values, strict=True)}
-        return _observed(step), float(step.reward), bool(step.terminated), bool(step.truncated), info
+        return Observation(step, self.facts), float(step.reward), bool(step.terminated), bool(step.truncated), info
 
     def _info(self, step: Step, *, started: bool = True) -> dict[str, Any]:
         info = {"is_success": bool(step.success), "truncated": bool(step.truncated), "diverged": bool(step.diverged)}
         if self._environment.signature.extra_reward == (0.0, 0.0) or step.diverged or not started:
             return info
         return {**info, "extra_reward": float(step.reward - self._rule.reward(step.achieved_goal, step.desired_goal))}
-
-    def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it.
-
-        A batch has a list of infos, or one info for all; with None or {} nothing is added.
-        """
-        reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
-        if self._environment.signature.extra_reward != (0.0, 0.0):
-            if info is None or isinstance(info, Mapping):
-                reward = reward + np.float32((info or {}).get("extra_reward", 0.0))
-            else:
-                extra = np.array([one.get("extra_reward", 0.0) for one in info], np.float32)
-                reward = reward + extra.reshape(np.shape(reward))
-        return float(reward) if np.ndim(reward) == 0 else reward
-
-    def compute_terminated(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:  # noqa: ARG002
-        """Whether the achieved goals end the episode: (...)."""
-        ends = self._rule.terminated(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
-        return bool(ends) if np.ndim(ends) == 0 else ends
-
-    def compute_truncated(self, achieved_goal: Any, desired_goal: Any, info: Mapping[str, Any]) -> bool:  # noqa: ARG002
-        """Whether the step that gave this info was truncated, which does not depend on goals."""
-        return bool(info.get("truncated", False))
 
     def render(self) -> NDArray[np.uint8] | None:
         """A picture (height, width, 3); None for a window."""
@@ -190,24 +211,57 @@ class RobotTaskEnv(GoalEnv):
         randomization: Mapping[str, Mapping[str, Any]] | None = None,
         **settings: Any,
     ) -> None:
-        if render_mode not in (None, *RENDER_MODES):
-            raise UsageError(
-                f"there is no render mode {render_mode!r}",
-                hint=alternatives(str(render_mode), RENDER_MODES) + "; human needs a display and engine=bullet",
-            )
-        window = {"window": True} if render_mode == "human" else {}
-        environment = build_environment(_recipe(robot, task, {**settings, **window}, randomization or {}))
+        recipe = robot_task_recipe(robot, task, settings, randomization or {})
+        super().__init__(_opened(recipe, render_mode), render_mode=render_mode, width=width, height=height)
+
+
+class SpecEnv(GoalEnv):
+    """What a spec describes, with all its settings. `render_mode`, `width` and `height` as of `GoalEnv`.
+
+    `gymnasium.make(environment.spec)` makes another one, `gymnasium.make_vec(environment.spec, num_envs=8)` several.
+
+    Args:
+        spec: or a dictionary of that shape, such as `Spec.dump()`.
+        randomize: whether to draw the spec's `randomization` at each reset, as training does and tests do not.
+
+    Raises UsageError if the environment has no goals, and as `build_environment`.
+    """
+
+    def __init__(
+        self,
+        spec: Spec | Mapping[str, Any],
+        *,
+        randomize: bool = False,
+        render_mode: str | None = None,
+        width: int = 640,
+        height: int = 480,
+    ) -> None:
+        spec = spec if isinstance(spec, Spec) else spec_from_dict(spec)
+        environment = _opened(spec.recipe(randomize=randomize), render_mode)
         super().__init__(environment, render_mode=render_mode, width=width, height=height)
-        if isinstance(environment, RobotTask) and "window" not in ENGINES[environment.settings.engine].abilities:
-            self.metadata["render_modes"] = ["rgb_array"]
+        picture = {"render_mode": render_mode, "width": width, "height": height} if render_mode else {}
+        self.spec = EnvSpec(
+            f"karolos/{spec.name}",
+            f"{__name__}:SpecEnv",
+            vector_entry_point="karolos.orchestrator.vector:spec_envs",
+            kwargs={"spec": spec.alone().dump(), "randomize": randomize, **picture},
+        )
 
 
-def _observed(step: Step) -> Observation:
-    """Copies: the environment uses one array for the goal throughout an episode."""
-    return {name: getattr(step, name).copy() for name in OBSERVED}
+def _opened(recipe: Recipe, render_mode: str | None) -> Environment:
+    """The recipe's environment, with a window for "human"."""
+    if render_mode not in (None, *RENDER_MODES):
+        raise UsageError(
+            f"there is no render mode {render_mode!r}",
+            hint=alternatives(str(render_mode), RENDER_MODES) + "; human needs a display and engine=bullet",
+        )
+    if render_mode == "human" and "window" in type(recipe.environment.settings).model_fields:
+        settings = recipe.environment.settings.model_copy(update={"window": True})
+        recipe = replace(recipe, environment=replace(recipe.environment, settings=settings))
+    return build_environment(recipe)
 
 
-def _recipe(robot: str, task: str, settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Recipe:
+def robot_task_recipe(robot: str, task: str, settings: Mapping[str, Any], randomization: Mapping[str, Any]) -> Recipe:
     """A recipe in which each part has the settings that it declares."""
     named = {"robot": ("robots", robot), "task": ("tasks", task), "environment": ("environments", "robot_task")}
     models = {what: load(*plugin).Settings for what, plugin in named.items()}
