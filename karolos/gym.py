@@ -1,4 +1,4 @@
-"""Registers every robot with every task in gymnasium, e.g. as `karolos/PandaReach-v1`.
+"""Registers every robot with every task in gymnasium, as `karolos/<Robot><Task>-v1`.
 
     import gymnasium
     import karolos.gym
