@@ -55,7 +55,9 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
 
-def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path: Path) -> None:
+def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("karolos.experiment.signals.LOOK_SECONDS", 0.0)
+
     def ask(event: object) -> None:
         if isinstance(event, RunStarted) and event.seed == 0:
             Path(event.folder, "stop").write_text("karolos runs stop", "utf-8")
