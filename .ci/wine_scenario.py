@@ -21,7 +21,7 @@ ROOT = Path(sys.argv[1])
 WORK = ROOT / "work"
 SECONDS = 400
 NOISE = re.compile(r"XDG_RUNTIME|cpuinfo|^\s*$")
-SPECS = ("toy", "panda_reach", "ur5_push")
+SPECS = ("panda_reach", "ur5_push", "iiwa_pick")
 failed = []
 
 
