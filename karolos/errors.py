@@ -55,14 +55,14 @@ def is_secret(key: str) -> bool:
 
 
 def redact(text: str) -> str:
-    """Replace what looks like a secret by ***; in doubt, too much is replaced."""
+    """Replace what looks like a secret by `***`; in doubt, too much is replaced."""
     for pattern in _SECRETS:
         text = pattern.sub("***", text)
     return _OPTION.sub(r"\1***", _ASSIGNED.sub(_hidden, text))
 
 
 def _hidden(found: re.Match[str]) -> str:
-    """A name with *** as its value, unless this is a number of tokens, a variable, or code."""
+    """A name with `***` as its value, unless this is a number of tokens, a variable, or code."""
     name, value = found["name"].lower(), found["value"]
     number = name in ("token", "tokens", "pass") and re.fullmatch(r"[\[\d.e+-]+", value)
     kind = found["after"] and value.isalpha() and value[0].isupper()  # token: Token | None
@@ -73,7 +73,7 @@ def _hidden(found: re.Match[str]) -> str:
 
 
 def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
-    """JSON as records hold it: with *** in place of what looks like a secret, and maybe without folders of paths."""
+    """JSON as records hold it: with `***` in place of what looks like a secret, and maybe without folders of paths."""
     if isinstance(value, Mapping):
         return {name: recorded(one, name, folders=folders) for name, one in value.items()}
     if isinstance(value, list | tuple):
