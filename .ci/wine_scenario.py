@@ -21,7 +21,7 @@ ROOT = Path(sys.argv[1])
 WORK = ROOT / "work"
 SECONDS = 400
 NOISE = re.compile(r"XDG_RUNTIME|cpuinfo|^\s*$")
-SPECS = ("panda_reach", "ur5_push", "iiwa_pick")
+SPECS = ("panda_reach", "ur5_push", "iiwa_reach")
 failed = []
 
 
@@ -147,7 +147,7 @@ def main() -> None:
     stop_and_resume()
     run = run_of("r", "panda_reach").name
     karolos("test", run, "--runs", "r", "task.threshold=0.1")
-    karolos("compare", "smoke_panda_reach", "--runs", "r", "--html", "comparison.html")
+    karolos("compare", "smoke_panda_reach", "--runs", "r", "--out", "comparison.html")
     karolos("export", run, "--runs", "r")
     karolos("runs", "rm", run, "--runs", "r")
     karolos("runs", "restore", run, "--runs", "r")
