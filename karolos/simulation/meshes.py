@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from ..core import Array
 from ..errors import MachineError, PluginError
 from ..files import writing
+from ..system import user_cache
 
 Collision = Literal["convex", "decomposed"]
 """What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
@@ -228,13 +229,13 @@ def check_size(path: Path, scale: float | Sequence[float]) -> None:
 def pieces(path: Path) -> tuple[Path, ...]:
     """Files of the convex pieces that a mesh is decomposed into; the mesh itself where it is convex.
 
-    They are kept by their content in the user's cache (`$XDG_CACHE_HOME/karolos`). Raises MachineError where the
+    They are kept by their content in the user's cache folder. Raises MachineError where the
     package coacd is missing, or the cache cannot be written.
     """
     if solid(path).filled == "":
         return (path,)
     key = hashlib.sha256(f"{CONCAVITY}".encode() + triangles(path).tobytes()).hexdigest()[:24]
-    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache", "karolos", "convex", key)
+    folder = user_cache() / "karolos" / "convex" / key
     if not folder.is_dir():
         with writing(folder.parent):
             folder.parent.mkdir(parents=True, exist_ok=True)
