@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 
 import numba
 from llvmlite import binding
-from numba import njit
+from numba import njit, typeof
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
 
@@ -62,6 +62,15 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
 
     dispatcher.compile = compile_once
     return dispatcher
+
+
+def machine_code(function: Any, arguments: Sequence[object]) -> Callable[..., Any]:
+    """A compiled function for arguments of these types, called already: without numba's look at them in each call.
+
+    That look costs 2 us. Never call it with other types: it does not check the kind or order of an array's numbers.
+    """
+    code: Callable[..., Any] = function.get_overload(tuple(map(typeof, arguments)))
+    return code
 
 
 @cache

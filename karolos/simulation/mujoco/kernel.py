@@ -21,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ...core import FloatArray
-from ...core.compiled import compiled
+from ...core.compiled import compiled, machine_code
 from ...errors import MachineError
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}

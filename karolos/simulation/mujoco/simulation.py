@@ -92,6 +92,8 @@ class Simulation:
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
+        self._advance: Callable[..., None] | None = None
+        """The machine code of `kernel.advance` for this structure, from its first call on."""
         self.stepped = False
         """Whether forces and contacts are known: no state was written since they were computed."""
         self.material: Any = None
@@ -141,7 +143,7 @@ class Simulation:
                 np.concatenate([none, *(getattr(part, name) for part in motors)], axis=1 if name == "targets" else 0)
                 for none, name in zip(empty, names, strict=True)
             ]
-        kernel.advance(
+        arguments = (
             model._address,
             data._address,
             self._layout,
@@ -149,12 +151,17 @@ class Simulation:
             data.qpos,
             data.qvel,
             kernel.Driven(self.rows[driven[-1][:, 1]], *driven),
-            kernel.Touching(self.material, model.geom_bodyid, self.peaks, self.largest),
+            self._touching,
             self.loads,
-            kernel.Hands(self.tools, self.hands, self.lips),
+            self._carried,
             self._springs,
             self.suction if self._cups else None,
         )
+        if self._advance is None:
+            kernel.advance(*arguments)
+            self._advance = kernel.machine_code(kernel.advance, arguments)
+        else:
+            self._advance(*arguments)
         self.stepped = True
 
     def motor_force(self, dof: int) -> float:
@@ -201,6 +208,9 @@ class Simulation:
             part.find(self.model)
         self._springs = np.array(sorted({row for row, _ in self.sprung.values()})) if self.sprung else None
         self._cups = bool(self.tools["cup"].any())
+        self._touching = self._kernel.Touching(self.material, self.model.geom_bodyid, self.peaks, self.largest)
+        self._carried = self._kernel.Hands(self.tools, self.hands, self.lips)
+        self._advance = None
         self._structure_changed = self.stepped = False
         self._parameters_changed = True
 
