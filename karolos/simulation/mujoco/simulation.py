@@ -159,7 +159,7 @@ class Simulation:
         )
         if self._advance is None:
             kernel.advance(*arguments)
-            self._advance = kernel.machine_code(kernel.advance, arguments)
+            self._advance = kernel.advance_code(arguments)
         else:
             self._advance(*arguments)
         self.stepped = True
