@@ -48,6 +48,8 @@ LINES, MOST_TESTS = 200, 4_000_000
 """Lines along each axis that tell how often a mesh encloses a place, and most pairs of a line and a triangle."""
 TWICE = 0.005
 """Share of a mesh that may be enclosed twice or from behind: so much is its weight wrong at most."""
+ROUNDING = 1e-6
+"""Corners that are nearer than this share of the mesh's size are one, if the surface is open otherwise."""
 CONCAVITY = 0.02
 """Largest concavity of a convex piece, as CoACD measures it, in parts of the mesh's size."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -119,6 +121,8 @@ def _solid(path: Path, data: bytes) -> Solid:
     from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415
 
     corners, faces = np.unique(_triangles(path, data).reshape(-1, 3), axis=0, return_inverse=True)
+    if not _closed(faces.reshape(-1, 3)):
+        faces = _welded(corners)[faces]
     try:
         hull = ConvexHull(corners.astype(float))
     except QhullError:
@@ -153,6 +157,18 @@ def _closed(faces: NDArray[np.intp]) -> bool:
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     there, back = (np.sort(ends @ [1 + int(faces.max(initial=0)), 1]) for ends in (edges, edges[:, ::-1]))
     return np.array_equal(there, back)
+
+
+def _welded(corners: NDArray[np.float32]) -> NDArray[np.intp]:
+    """Of each corner (n, 3) the first one that is the same but for rounding, (n,)."""
+    from scipy.sparse import coo_array  # noqa: PLC0415 (as above)
+    from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
+    from scipy.spatial import KDTree  # noqa: PLC0415
+
+    near = KDTree(corners).query_pairs(ROUNDING * float(np.ptp(corners, axis=0).max()), output_type="ndarray")
+    _, groups = connected_components(coo_array((np.ones(len(near)), near.T), (len(corners),) * 2), directed=False)
+    first: NDArray[np.intp] = np.unique(groups, return_index=True)[1]
+    return first[groups]
 
 
 def _enclosed_wrongly(found: NDArray[np.float32]) -> float:

@@ -79,6 +79,12 @@ BODIES = {
     "one of two inside out": ([ONE, box(30, 0, 0)[:, ::-1]], 2000, 15, ""),
     "a hollow": ([ONE, box(0, 0, 0, size=(6, 6, 6))[:, ::-1]], 784, 0, ""),
     "a triangle without an area": ([ONE, ONE[:1, [0, 0, 1]]], 1000, 0, ""),
+    "corners that differ by rounding": (
+        [ONE + np.float32(1e-6) * np.sin(np.arange(ONE.size)).reshape(ONE.shape)],
+        1000,
+        0,
+        "",
+    ),
     "one in another": ([ONE, box(0, 0, 0, size=(6, 6, 6))], 1000, 0, "overlap"),
     "one twice": ([ONE, ONE], 1000, 0, "overlap"),
     "two that overlap": ([ONE, box(1, 0, 0)], 1100, 0.5, "overlap"),
