@@ -166,9 +166,10 @@ def _welded(corners: NDArray[np.float32]) -> NDArray[np.intp]:
     from scipy.spatial import KDTree  # noqa: PLC0415
 
     near = KDTree(corners).query_pairs(ROUNDING * float(np.ptp(corners, axis=0).max()), output_type="ndarray")
+    groups: NDArray[np.intp]
     _, groups = connected_components(coo_array((np.ones(len(near)), near.T), (len(corners),) * 2), directed=False)
-    first: NDArray[np.intp] = np.unique(groups, return_index=True)[1]
-    return first[groups]
+    first = np.unique(groups, return_index=True)[1]
+    return np.take(first, groups)
 
 
 def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
