@@ -15,6 +15,7 @@ from pydantic import Field as Setting
 from ..core import BoolArray, Discrete, FloatArray, Kind, Layout, Signature
 from ..core import Settings as BaseSettings
 from ..core.compiled import compiled
+from ..core.settings import LATER
 from ..errors import PluginError, UsageError
 from .storage import StoredTransitions, transition_layout
 
@@ -31,8 +32,8 @@ SIGNS: Mapping[Kind, tuple[int, ...]] = {
 A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
 is the same thing if it is symmetric.
 """
-AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 0)}
-"""1 where a column is an x of a place, 2 where it is a y, else 0."""
+AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 3)}
+"""1, 2 or 3 where a column is an x, y or z of a place, else 0."""
 
 
 class Augmentation:
@@ -50,6 +51,13 @@ class Augmentation:
         mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
         shift: float = Setting(
             0.1, ge=0, le=10, description="each is moved by up to so much along x and along y of the world, m"
+        )
+        lift: float = Setting(
+            0.0,
+            ge=0,
+            le=10,
+            json_schema_extra=LATER,
+            description="each is moved by up to so much along z, m: where nothing stands on the floor",
         )
         batches: int | None = Setting(
             None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
@@ -80,11 +88,14 @@ class Augmentation:
         if settings.batches is not None and self.batches > settings.batches:
             return
         mirrored = generator.random(size, np.float32) < (0.5 if settings.mirror else 0.0)
-        way = (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift)
+        way = np.zeros((size, 3), np.float32)
+        way[:, :2] = (2 * generator.random((size, 2), np.float32) - 1) * np.float32(settings.shift)
+        if settings.lift:
+            way[:, 2] = (2 * generator.random(size, np.float32) - 1) * np.float32(settings.lift)
         self.change(stored, mirrored, way)
 
     def change(self, stored: StoredTransitions, mirrored: BoolArray, way: FloatArray) -> None:
-        """Mirror the marked ones (n,), then move each along x and y by so much (n, 2), in m."""
+        """Mirror the marked ones (n,), then move each by so much (n, 3), in m."""
         _change(stored.table, mirrored, way, self._signs, self._axes)
 
 

@@ -16,6 +16,22 @@ class Settings(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+LATER: Any = {"later": True}
+"""`json_schema_extra` of a setting that came after 0.2: at its default it is no part of an experiment's identity."""
+
+
+def without_later(settings: BaseModel, dumped: dict[str, Any]) -> dict[str, Any]:
+    """What was dumped of settings, without the `LATER` ones at their default: a spec of 0.2 keeps its hash."""
+    kept = dict(dumped)
+    for name, field in type(settings).model_fields.items():
+        value = getattr(settings, name)
+        if field.json_schema_extra == LATER and value == field.get_default():
+            kept.pop(name, None)
+        elif isinstance(value, BaseModel) and isinstance(kept.get(name), dict):
+            kept[name] = without_later(value, kept[name])
+    return kept
+
+
 class AgentSettings(Settings):
     """Base of every agent's nested `Settings`."""
 

@@ -10,6 +10,7 @@ from typing import Any
 from pydantic import BaseModel, GetCoreSchemaHandler, SecretStr, ValidationError
 from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, core_schema
 
+from ..core.settings import without_later
 from ..errors import recorded
 from ..registry import load
 from .tree import Path, leaves
@@ -59,7 +60,8 @@ class Part:
     def identity(self) -> dict[str, Any]:
         """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
         identity = getattr(self.settings, "identity", None)
-        return {"name": self.name, **identity()} if callable(identity) else self.dump()
+        found = identity() if callable(identity) else self.settings.model_dump(mode="json")
+        return {"name": self.name, **without_later(self.settings, found)}
 
 
 @dataclass(frozen=True)

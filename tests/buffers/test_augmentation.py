@@ -71,7 +71,7 @@ def test_what_is_mirrored_and_moved_is_what_happens_there(
     signature, way = environment.signature, (0.03, -0.04)
     actions = random_actions(signature, STEPS, SeedTree(0).generator())
     rows = played(environment, lambda: begin(environment, 1, (0.0, 0.0)), actions)
-    everywhere = np.tile(np.array(way, np.float32), (STEPS, 1))
+    everywhere = np.tile(np.array((*way, 0.0), np.float32), (STEPS, 1))
     Augmentation(Augmentation.Settings(), signature).change(rows, np.ones(STEPS, np.bool_), everywhere)
     found = played(environment, lambda: begin(environment, -1, way), rows["action"])
     for field in signature.observation.fields:
@@ -102,6 +102,19 @@ def test_a_batch_has_each_transition_at_its_place_in_a_mirror_or_not_and_rewards
     achieved = buffer.storage.column("next_achieved_goal", below) * signs + moved
     assert (signature.goal_rule.reward(achieved, batch.desired_goal) == batch.reward).all()
     assert 0.05 < (batch.reward == 0).mean() < 0.95
+
+
+def test_what_is_lifted_moves_along_z_as_a_whole() -> None:
+    signature = pair("panda", "reach").signature
+    buffer = filled_buffer("uniform", signature, 4, 800, augmentation={"lift": 0.3, "shift": 0, "mirror": False})
+    batch, goal = buffer.sample(256), buffer.storage.column("desired_goal", np.arange(len(buffer)))
+    tool = signature.observation.slice("tool_position")
+    flat = {tuple(row[:2]): row for row in goal}
+    lifts = np.array([one[2] - flat[tuple(one[:2])][2] for one in batch.desired_goal])
+    assert 0.25 < np.abs(lifts).max() < 0.301
+    before = buffer.storage.column("observation", np.arange(len(buffer)))[:, tool]
+    for one, lift in zip(batch.observation[:, tool], lifts, strict=True):
+        assert np.abs(before - one + (0, 0, lift)).max(1).min() < 1e-6
 
 
 @pytest.mark.parametrize(

@@ -151,7 +151,7 @@ parts = {
     ),
 }
 optional = {
-    "name": st.from_regex(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}", fullmatch=True),
+    "name": st.from_regex(r"x[A-Za-z0-9._-]{0,62}[A-Za-z0-9_-]", fullmatch=True),
     "seeds": st.lists(st.integers(0, 2**63 - 1), min_size=1, max_size=4, unique=True),
     "randomization": st.dictionaries(
         st.sampled_from(["task.gravity", "robot.mass"]),

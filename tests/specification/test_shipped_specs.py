@@ -211,3 +211,12 @@ def test_plugin_that_does_not_import_is_left_out_and_told(fake_plugins):
     assert "robots.broken" not in schema["$defs"]
     assert len(broken) == 1
     assert "'broken'" in str(broken[0])
+
+
+def test_a_setting_that_came_later_is_in_the_hash_if_it_is_not_at_its_default():
+    hashes = [
+        load_spec("panda_reach", [f"buffer.augmentation.{given}"]).hash() for given in ("shift=0.1", "lift=0", "lift=1")
+    ]
+    assert hashes[0] == hashes[1] != hashes[2]
+    # of 0.2, where `lift` was not known
+    assert load_spec("panda_push").hash() == "0155b65e23306c65b6f1150e1ef3640b0807b73b3e6769122e2f0594647ec392"
