@@ -103,6 +103,21 @@ def stop_and_resume() -> None:
     agreed("policy of the stopped and resumed run, and of one without a stop", policy(run), policy(whole))
 
 
+def detach_and_stop() -> None:
+    """A run without a terminal, which another command stops."""
+    karolos("run", "karolos:smoke/panda_reach", "training.steps=30000", "--detach", "--runs", "d")
+    states = (WORK / "d").glob
+    end = time.monotonic() + SECONDS
+    while not any('"running"' in path.read_text("utf-8") for path in states("*/state.json")) and time.monotonic() < end:
+        time.sleep(0.5)
+    run = run_of("d", "panda_reach")
+    karolos("runs", "stop", run.name, "--runs", "d")
+    end = time.monotonic() + 60
+    while '"stopped"' not in (run / "state.json").read_text("utf-8") and time.monotonic() < end:
+        time.sleep(0.5)
+    agreed("a detached run is stopped", json.loads((run / "state.json").read_text("utf-8"))["state"], "stopped")
+
+
 def wait_for(condition: Callable[[], bool], terminal: int) -> None:
     end = time.monotonic() + SECONDS
     while not condition() and time.monotonic() < end:
@@ -145,6 +160,7 @@ def main() -> None:
     karolos("run", "karolos:smoke/toy", "seeds=[0,1]", "--jobs", "2", "--runs", "r2", "--quiet")
     karolos("runs", "list", "--runs", "r2")
     stop_and_resume()
+    detach_and_stop()
     run = run_of("r", "panda_reach").name
     karolos("test", run, "--runs", "r", "task.threshold=0.1")
     karolos("compare", "smoke_panda_reach", "--runs", "r", "--out", "comparison.html")
