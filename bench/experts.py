@@ -8,17 +8,19 @@ from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
+from statistics import fmean
 from typing import Annotated
 
 from typer import Option
 
 from karolos.errors import KarolosError
-from karolos.evaluation.playing import score
+from karolos.evaluation.playing import FirstSuccesses, evaluate
 from karolos.evaluation.policies import expert_policy, random_policy
 from karolos.gym import STEPS
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine
+from karolos.statistics.intervals import wilson
 from karolos.system import cores
 
 from .side_by_side import Row
@@ -63,10 +65,19 @@ def measure(
 
 def _row(engine: Engine | None, episodes: int, seed: int, steps: int | None, case: tuple[str, str]) -> Row:
     environment = inspection.pair(*case, engine, steps=steps or STEPS.get(case[1]))
-    expert = score(environment, expert_policy(environment), episodes=episodes, seed=seed)
-    random = score(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
+    first = FirstSuccesses()
+    expert = evaluate(environment, expert_policy(environment), episodes=episodes, seed=seed, heard=first)
+    random = evaluate(environment, random_policy(environment, seed), episodes=episodes, seed=seed)
     environment.close()
-    more = {"low": expert.low, "high": expert.high, "any": expert.success_any, "steps": expert.steps}
-    more |= {"peer_low": random.low, "peer_high": random.high, "episodes": episodes}
-    what, value, floor = " ".join(filter(None, (*case, engine))), expert.success_end, random.success_end
-    return Row(what, value, "success at the end", "random policy", floor, more=more)
+    (low, high), (peer_low, peer_high) = (wilson(sum(one.end), episodes) for one in (expert, random))
+    more = {
+        "low": low,
+        "high": high,
+        "any": expert.success_any,
+        "steps": first.mean,
+        "peer_low": peer_low,
+        "peer_high": peer_high,
+    }
+    what = " ".join(filter(None, (*case, engine)))
+    value, floor = fmean(expert.end), fmean(random.end)
+    return Row(what, value, "success at the end", "random policy", floor, more=more | {"episodes": episodes})

@@ -18,13 +18,14 @@ from functools import partial
 from itertools import repeat
 from pathlib import Path
 from statistics import median
+from typing import Any
 
 from karolos.records import RunFolder
+from karolos.records.evaluation import Evaluation
 from karolos.records.provenance import versions
-from karolos.records.results import TestResult, encode_test
 from karolos.records.run_records import FORMAT, RunState
 from karolos.specification import spec_from_dict
-from karolos.store import Store, check, reindex
+from karolos.store import Store, check, query, reindex
 
 from .side_by_side import Row, seconds_of
 
@@ -113,7 +114,7 @@ def _together(work: Callable[[str, int], None], where: str, writers: int) -> flo
 
 def _write(url: str, index: int) -> None:
     with Store(url) as store:
-        (record,) = store.records([store.find(f"writer-{index}")])
+        (record,) = store.records([query.find(store, f"writer-{index}")])
         for steps in range(WRITES):
             store.add_records([replace(record, summary=replace(record.summary, steps=steps))])
 
@@ -151,9 +152,10 @@ def _curve(index: int, tests: int, episodes: int) -> str:
         success = test / (test + 2 + index)
         flags = tuple((episode * 37 + index) % episodes < success * episodes for episode in range(episodes))
         returns = tuple(-50.0 * (1 - success) - episode / 7 for episode in range(episodes))
-        at_reset, lengths, distances = (False,) * episodes, (50,) * episodes, (0.0625,) * episodes
-        result = TestResult(test * 1000, test * 10.0, flags, flags, at_reset, returns, lengths, distances)
-        lines.append(json.dumps(encode_test(result), separators=(",", ":")))
+        lists: dict[str, Any] = {"any": flags, "end": flags, "reset": (False,) * episodes, "returns": returns}
+        lists |= {"lengths": (50,) * episodes, "distances": (0.0625,) * episodes}
+        result = Evaluation.of(test * 1000, test * 10.0, **lists)
+        lines.append(json.dumps(result.encode(), separators=(",", ":")))
     return "\n".join(lines) + "\n"
 
 

@@ -1,4 +1,4 @@
-"""Options that commands share, and the runs that somebody means by what they type."""
+"""Options that commands share, and the runs that a typed text means."""
 
 from __future__ import annotations
 
@@ -149,8 +149,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
         RunError: the run's folder is missing or damaged.
     """
     from karolos.records import RunFolder
-    from karolos.store.query import find_folder
-    from karolos.store.selectors import is_run_folder
+    from karolos.store.query import find_folder, is_run_folder
 
     if is_run_folder(selector):  # needs no index
         return RunFolder.open(selector)
@@ -160,7 +159,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
 
 def chosen_checkpoint(folder: RunFolder, asked: Literal["best", "last"] | None) -> Literal["best", "last"]:
     """The checkpoint to use: the one asked for, or `best`; with a message `last` where there is only that one."""
-    from karolos.checkpoint import names
+    from karolos.records.checkpoint import names
     from karolos.records.shipped import is_shipped
 
     if is_shipped(folder):
@@ -184,10 +183,10 @@ def select_runs(
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")
-    from karolos.store.query import existing
+    from karolos.store.query import existing, select
 
     store = existing(open_store(runs, database), selectors[0] if selectors else str(where), runs)
-    selected = {run.run: run for selector in selectors for run in store.select(selector)}
+    selected = {run.run: run for selector in selectors for run in select(store, selector)}
     if where is not None:
         matching = {run.run: run for run in store.runs(where=where)}
         selected = {run: matching[run] for run in selected if run in matching} if selectors else matching

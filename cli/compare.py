@@ -1,4 +1,4 @@
-"""`karolos compare`: experiments side by side, with intervals that fit the number of seeds."""
+"""`karolos compare` and `karolos diff`: experiments side by side, and what two runs were made from."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ import typer
 
 from karolos.errors import NoSuchRunError, UsageError
 
-from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_store
-from .completion import complete_policy
+from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_run, open_store
+from .completion import complete_policy, complete_run
 from .output import check_folder, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from karolos.comparison import Comparison, Contender
+    from karolos.comparison import Comparison
+    from karolos.comparison.differences import Side
     from karolos.records.run_records import RunSummary
     from karolos.store import Store
+
+
+SIDE_HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what a run of it would be made from now."
 
 
 def compare(
@@ -47,8 +51,8 @@ def compare(
         typer.Option(
             metavar="STEPS",
             min=1,
-            help="Compare the runs as they were at their tests nearest to so many environment steps, e.g. shorter runs "
-            "with longer ones. Default: at their ends.",
+            help="Compare the runs as they were at their tests nearest to this many environment steps, e.g. "
+            "shorter runs with longer ones. Default: at their ends.",
         ),
     ] = None,
     label: Annotated[
@@ -84,6 +88,7 @@ def compare(
 ) -> None:
     """Compare experiments: success and return with intervals, steps and time to 50 and 90 %, cost, settings."""
     from karolos.comparison import compare as compare_contenders
+    from karolos.comparison import gather
 
     pages = [path for path in out or () if path.suffix == ".html"]
     folders = [path for path in out or () if path.suffix != ".html"]
@@ -100,7 +105,7 @@ def compare(
     with open_store(runs, database) or nullcontext() as store:
         selected = [_runs_of(selector, store, runs) for selector in experiments]
         labels = _labels(label, experiments, [found for _, found in selected])
-        contenders = [_gathered(*one) for one in zip(experiments, selected, labels, strict=True)]
+        contenders = [gather(*found, *names) for found, *names in zip(selected, labels, experiments, strict=True)]
         comparison = compare_contenders(contenders, metric, store, at=at)
     for warning in comparison.warnings:
         warn(warning)
@@ -109,7 +114,7 @@ def compare(
     else:
         _print_comparison(comparison)
     from karolos.files import write_whole
-    from karolos.report.comparison_tables import comparison_file
+    from karolos.report.tables import comparison_file
 
     for path in table or ():
         write_whole(path, comparison_file(comparison, path.suffix))
@@ -133,8 +138,7 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
     """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
     from karolos.records import RunFolder
     from karolos.records.shipped import SHIPPED
-    from karolos.store.query import existing, shipped_run
-    from karolos.store.selectors import is_run_folder
+    from karolos.store.query import existing, is_run_folder, select, shipped_run
 
     if shipped := shipped_run(selector, store):
         if not selector.startswith(SHIPPED):
@@ -142,20 +146,10 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
         return None, (shipped.summary(),)
     if is_run_folder(selector):
         with suppress(NoSuchRunError):
-            return store, existing(store, selector, runs).select(selector)
+            return store, select(existing(store, selector, runs), selector)
         return None, (RunFolder.open(selector).summary(),)
     store = existing(store, selector, runs)
-    return store, store.select(selector, or_trial=True)
-
-
-def _gathered(selector: str, selected: tuple[Store | None, tuple[RunSummary, ...]], label: str) -> Contender:
-    """As `gather`, but an error names what was typed: a label of one's own may mean anything."""
-    from karolos.comparison import gather
-
-    try:
-        return gather(*selected, label)
-    except UsageError:
-        return gather(*selected, selector)
+    return store, select(store, selector, or_trial=True)
 
 
 def _labels(
@@ -166,7 +160,7 @@ def _labels(
     Raises:
         UsageError: there is not one distinct label for each; or two arguments mean the same run.
     """
-    from karolos.comparison import labels_of
+    from karolos.comparison.contenders import labels_of
 
     if chosen and (len(chosen) != len(selectors) or len(set(chosen)) < len(chosen)):
         raise UsageError(
@@ -184,9 +178,9 @@ def _labels(
 
 
 def _print_comparison(comparison: Comparison) -> None:
-    from karolos.report.comparison_tables import (
+    from karolos.report.tables import (
+        compared_measures_table,
         explanations,
-        measures_table,
         parameters_table,
         scores_table,
         verdict,
@@ -195,7 +189,7 @@ def _print_comparison(comparison: Comparison) -> None:
     print(f"{verdict(comparison)}\n")
     print_table(scores_table(comparison))
     if comparison.measures:
-        print_table(measures_table(comparison))
+        print_table(compared_measures_table(comparison))
     print()
     for line in explanations(comparison):
         print(f"  {line}")
@@ -203,3 +197,37 @@ def _print_comparison(comparison: Comparison) -> None:
         print_table(parameters_table(comparison))
     elif len(comparison.contenders) > 1:
         print("\nthe specs are the same")
+
+
+def diff(
+    a: Annotated[str, typer.Argument(metavar="A", help=SIDE_HELP, autocompletion=complete_run)],
+    b: Annotated[str, typer.Argument(metavar="B", help="As A.", autocompletion=complete_run)],
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+) -> None:
+    """Show how two runs differ: settings, versions of karolos, plugins and libraries, git commit, changed files."""
+    from karolos.comparison.differences import compare_sides
+
+    one, other = _side(a, runs, database), _side(b, runs, database)
+    found = list(compare_sides(one, other))
+    if json:
+        print_rows(found, json=True)
+    elif found:
+        from karolos.report.tables import differences_table
+
+        print_table(differences_table(found, one.name, other.name))
+    else:
+        say("no difference in settings, versions and code")
+
+
+def _side(selector: str, runs: Path, database: str | None) -> Side:
+    """What an argument means. Raises SpecError for a spec file that is missing."""
+    from karolos.comparison.differences import of_run, of_spec
+    from karolos.store.query import is_spec
+
+    if is_spec(selector) or selector.endswith((".yaml", ".yml")):
+        from karolos.specification import load_spec
+
+        return of_spec(load_spec(Path(selector)), selector)
+    return of_run(open_run(selector, runs, database))

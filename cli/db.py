@@ -36,8 +36,6 @@ def _rebuild(store: Store, runs: Path) -> None:
     for problem in done.problems:
         warn(problem)
     say(f"{done.runs} runs entered, {done.forgotten} forgotten")
-    if done.sweeps or done.forgotten_sweeps:
-        say(f"{done.sweeps} sweeps entered, {done.forgotten_sweeps} forgotten")
     if done.problems:
         raise typer.Exit(1)
 
@@ -63,14 +61,14 @@ def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
     from karolos.store import Store
 
     with Store(_existing(runs, database), upgrade=True) as store:
-        if store.database.forgotten is None:
+        if store.forgotten is None:
             say("nothing to do: this karolos reads the database as it is")
             return
         try:
             _rebuild(store, runs)
         finally:
             entered = {run.run for run in store.runs()}
-            for run in sorted(store.database.forgotten - entered):
+            for run in sorted(store.forgotten - entered):
                 warn(f"{run}: its folder is not in {runs}; `karolos db reindex --runs FOLDER` enters runs of another")
 
 

@@ -21,6 +21,7 @@ from karolos.experiment.events import (
     RunStarted,
     RunTested,
     RunWarned,
+    text_of,
 )
 from karolos.report.tables import clean
 from karolos.sweep.events import FinalBegan, TrialBegan, TrialEnded
@@ -28,7 +29,6 @@ from karolos.sweep.events import FinalBegan, TrialBegan, TrialEnded
 from .output import drawn_text
 
 if TYPE_CHECKING:
-    from karolos.records.results import FinalTest, TestResult
     from karolos.records.sweep_records import Trial
     from karolos.sweep.events import SweepEvent
 
@@ -60,12 +60,10 @@ class Quiet(AbstractContextManager[Any]):
         self._console.print(clean(text, allowed="\n\t"), soft_wrap=True)
 
     def __call__(self, event: Any) -> None:
-        if isinstance(event, RunWarned):
-            self._print(f"{event.run} warning: {event.warning}")
-        elif isinstance(event, RunEnded) and event.error:
-            if event.traceback:
-                self._print(event.traceback.rstrip())
-            self._print(f"{event.run} failed: {event.error}")
+        if isinstance(event, RunEnded) and event.traceback:
+            self._print(event.traceback.rstrip())
+        if isinstance(event, RunWarned) or (isinstance(event, RunEnded) and event.error):
+            self._print(f"{event.run} {text_of(event)}")
         elif isinstance(event, TrialEnded) and event.trial.state == "failed":
             self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
 
@@ -76,18 +74,17 @@ class Plain(Quiet):
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
         self._points: dict[str, list[RunAdvanced]] = {}
-        """Of each run where training was at the line before, and where it is."""
+        """Run -> where training was at the line before, and where it is."""
         self._steps: dict[str, int] = {}
-        """Of each run how many steps are asked for."""
+        """Run -> steps that are asked for."""
         self._said: dict[str, float] = {}
         """When each run had a line."""
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
         if isinstance(event, RunStarted):
-            self._print(f"{event.run} started: {event.steps:,} steps into {event.folder}")
             self._steps[event.run] = event.steps
-        elif isinstance(event, RunAdvanced | RunBusy):
+        if isinstance(event, RunAdvanced | RunBusy):
             if isinstance(event, RunAdvanced):
                 self._points[event.run] = [*self._points.get(event.run, [event])[:1], event]
             if time.monotonic() - self._said.setdefault(event.run, time.monotonic()) < PLAIN_SECONDS:
@@ -95,19 +92,17 @@ class Plain(Quiet):
             self._print(self._progress(event))
             self._points[event.run] = self._points.get(event.run, [])[-1:]
         elif isinstance(event, RunTested):
-            result, points = event.result, self._points.get(event.run, [])
-            line = f"{event.run} at {result.steps:,} steps, {result.seconds:.1f} s: {result.score}"
-            self._print(f"{line} ({speed})" if (speed := _speed(points)) else line)
+            points = self._points.get(event.run, [])
+            speed = f" ({found})" if (found := _speed(points)) else ""
+            self._print(f"{event.run} {text_of(event)}{speed}")
             self._points[event.run] = points[-1:]
-        elif isinstance(event, RunFinalTested):
-            self._print(f"{event.run} final test: {_final(event.final)}")
-        elif isinstance(event, RunEnded) and not event.error:
-            self._print(f"{event.run} {event.state}")
+        elif isinstance(event, RunStarted | RunFinalTested) or (isinstance(event, RunEnded) and not event.error):
+            self._print(f"{event.run} {text_of(event)}")
         if isinstance(event, RunEvent):
             self._said[event.run] = time.monotonic()
 
     def _progress(self, event: RunAdvanced | RunBusy) -> str:
-        """How far a run is, how fast, and what it does beside training."""
+        """How far a run is, how fast, and what it does while it does not train."""
         points = self._points.get(event.run, [])
         steps, seconds = (points[-1].steps, points[-1].seconds) if points else (0, 0.0)
         doing = _activity(event) if isinstance(event, RunBusy) else _speed(points)
@@ -154,9 +149,9 @@ class Live(Quiet):
         if isinstance(event, RunBusy):
             return {"activity": _activity(event)}
         if isinstance(event, RunTested):  # training may have gone on since the test was due
-            return {"completed": max(event.result.steps, completed), "score": _brief(event.result)}
+            return {"completed": max(event.result.steps, completed), "score": event.result.brief}
         if isinstance(event, RunFinalTested):
-            return {"score": _brief(event.final.last)}
+            return {"score": event.final["last"].brief}
         return {"speed": event.state, "activity": ""} if isinstance(event, RunEnded) else {}
 
 
@@ -170,23 +165,10 @@ def _speed(points: Sequence[RunAdvanced]) -> str:
 
 
 def _activity(event: RunBusy) -> str:
-    """What a run does beside training, and how far it is; empty when it is done."""
+    """What a run does instead of training, and how far it is; empty when it is done."""
     if event.done == event.total:
         return ""
     return event.activity if event.total == 1 else f"{event.activity} {event.done}/{event.total}"
-
-
-def _final(final: FinalTest) -> str:
-    """The scores of the policies `last` and `best`."""
-    last, best = final.last.score, final.best
-    if best is None:
-        return last
-    return f"{last}; best {_brief(best)}"
-
-
-def _brief(result: TestResult) -> str:
-    """The score in a few characters."""
-    return f"end {result.success_end:.2f}" if result.has_success else f"return {result.mean_return:,.2f}"
 
 
 def _named(what: str, numbers: Sequence[int]) -> str:

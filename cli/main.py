@@ -22,8 +22,7 @@ from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
 from . import db, inspect, plugins, runs, spec, sweeps
 from .board import board
 from .check import check
-from .compare import compare
-from .diff import diff
+from .compare import compare, diff
 from .export import export
 from .output import say
 from .play import play

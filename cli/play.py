@@ -123,8 +123,8 @@ def _modules(folder: RunFolder) -> list[str]:
 
 
 def _show_in_tensorboard(folder: RunFolder, checkpoint: str, film: bytes, size: tuple[int, int]) -> None:
-    from karolos.checkpoint import read_meta
     from karolos.experiment.tensorboard_writer import add_film
+    from karolos.records.checkpoint import read_meta
 
     add_film(folder.tensorboard, film, size, read_meta(folder.checkpoints, checkpoint)["steps"])
 

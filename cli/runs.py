@@ -18,14 +18,12 @@ from karolos.files import writing
 from karolos.report.tables import (
     Table,
     csv_text,
-    duration,
+    evaluations_table,
     facts_table,
     measures_table,
-    run_state,
+    run_facts,
     runs_table,
     settings_table,
-    table_of_final,
-    table_of_tests,
     transfers_table,
 )
 
@@ -49,9 +47,8 @@ from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
     from karolos.records import RunFolder
-    from karolos.records.results import FinalTest, TestCounts, TestResult
+    from karolos.records.evaluation import Evaluation
     from karolos.records.run_records import RunRecord, RunSummary
-    from karolos.records.transfer_results import TransferResult
     from karolos.store import Store
 
 app = typer.Typer(
@@ -157,7 +154,7 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
 
     `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
     """
-    from karolos.comparison import averaged, name_of, repeated
+    from karolos.comparison.contenders import averaged, name_of, repeated
     from karolos.statistics.reaching import median_reaching
 
     groups: dict[str, list[RunSummary]] = {}
@@ -225,34 +222,36 @@ def show(
     json: Json = False,
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
-    from karolos.records import RunFolder, transfer_results
+    from karolos.records import RunFolder
     from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
-    results: Sequence[TestResult] = ()
-    final: FinalTest | None = None
-    transfers: Sequence[TransferResult] = ()
+    final: Mapping[str, Evaluation] = {}
+    transfers: Sequence[Evaluation] = ()
     checkpoints: Sequence[Mapping[str, Any]] = ()
     with open_store(runs, database) or nullcontext() as store:
         summary = find_meant(run, store, runs)
         if os.path.isdir(summary.folder):
             folder = RunFolder.open(summary.folder)
-            record, about, results, final = folder.record(), folder.description(), folder.tests(), folder.final()
-            transfers, unreadable = transfer_results.read(folder)
+            record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
+            transfers, unreadable = folder.transfers()
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
         else:
             [record] = existing(store, run, runs).records([summary])
+            tests = record.tests
             problems = (f"the run folder is missing: {summary.folder}",)
     if json:
-        row = _show_row(record, results, final)
+        row = _show_row(record.summary, tests, final)
         about = {key: about[key] for key in ("versions", "machine", "command", "git") if key in about}
-        row |= {"transfers": [one.row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
+        row |= {"transfers": [one.changed_row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
         print_rows([row | {"spec": record.spec, **about}], json=True)
         return
     changed = None if everything else about.get("changed")
-    _print_facts(record.summary, about if everything else {}, checkpoints if everything else None)
-    _print_results(record, results, final, every=everything)
+    print_table(
+        facts_table(run_facts(record.summary, about if everything else {}, checkpoints if everything else None))
+    )
+    _print_results(tests, final, every=everything)
     if transfers:
         print_table(transfers_table(transfers, title="tests under changed settings"))
     title = "spec" if changed is None else "settings that are not defaults"
@@ -457,28 +456,26 @@ def import_runs(
     print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
-def _show_row(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None) -> dict[str, Any]:
+def _show_row(run: RunSummary, tests: Sequence[Evaluation], final: Mapping[str, Evaluation]) -> dict[str, Any]:
     """The summary of a run, its tests and its final test as one row."""
-    from karolos.records.results import WITHIN, TestCounts
-
-    known = [result for result in results if result.distances]
-    near = {one.steps: {"within_m": {f"{far:g}": one.within(far) for far in WITHIN}} for one in known}
-    policies = {} if final is None else {"last": final.last, "best": final.best}
-    rows = {name: None if one is None else _test_row(TestCounts.of(one)) for name, one in policies.items()}
+    policies = {name: _test_row(final[name]) if name in final else None for name in ("last", "best")}
     return {
-        **record.summary.row(),
-        "tests": [_test_row(test) | near.get(test.steps, {}) for test in record.tests],
-        "final_test": None if final is None else {"seed": final.seed, **rows},
+        **run.row(),
+        "tests": [_test_row(test, near=True) for test in tests],
+        "final_test": {"seed": final["last"].seed, **policies} if final else None,
     }
 
 
-def _test_row(test: TestCounts) -> dict[str, Any]:
-    return {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
+def _test_row(test: Evaluation, *, near: bool = False) -> dict[str, Any]:
+    from karolos.records.evaluation import WITHIN
+
+    row = {"steps": test.steps, "seconds": test.seconds, **test.row(), "solved_at_reset": test.solved_at_reset}
+    return row | ({"within_m": {f"{far:g}": test.within(far) for far in WITHIN}} if near and test.distances else {})
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
     """The metadata of the checkpoints that can be read, and what is wrong with the others."""
-    from karolos import checkpoint
+    from karolos.records import checkpoint
 
     found, problems = [], []
     for name in checkpoint.names(folder.checkpoints):
@@ -489,41 +486,15 @@ def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
     return found, problems
 
 
-def _print_facts(run: RunSummary, about: Mapping[str, Any], checkpoints: Sequence[Mapping[str, Any]] | None) -> None:
-    """Print what is known about a run besides its tests and settings; None leaves out the checkpoints."""
-    git = about.get("git") or {}
-    commit = f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}" if git else None
-    points = [f"{point['name']} ({point.get('steps', 0):,} steps)" for point in checkpoints or ()]
-    facts = {
-        "run": run.run,
-        "state": run_state(run) if run.error is None else f"{run.state}: {run.error}",
-        "experiment": run.experiment,
-        "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
-        "total": duration(run.total_seconds),
-        "to .95, end": run.steps_to_95 and f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}",
-        "created": run.created,
-        "updated": run.updated,
-        "folder": run.folder,
-        "tags": ", ".join(run.tags) or None,
-        "note": run.note,
-        "checkpoints": None if checkpoints is None else ", ".join(points) or "none",
-        "command": " ".join(about.get("command") or ()) or None,
-        "git commit": commit,
-        "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
-    }
-    print_table(facts_table(facts))
-
-
-def _print_results(record: RunRecord, results: Sequence[TestResult], final: FinalTest | None, *, every: bool) -> None:
+def _print_results(tests: Sequence[Evaluation], final: Mapping[str, Evaluation], *, every: bool) -> None:
     """Print the final test, or the last test before it; or every test."""
-    if not record.tests:
+    if not tests:
         print("\nno tests yet")
-    elif every or final is None:
-        tests = record.tests if every else record.tests[-1:]
-        print_table(table_of_tests(tests, results, title="tests" if every else "last test"))
-    if final is not None:
-        print_table(table_of_final(final, title=f"final test, from seed {final.seed}"))
-    shown = final.last if final is not None else results[-1] if results else None
-    if shown is not None and shown.measures:
+    elif every or not final:
+        print_table(evaluations_table(tests if every else tests[-1:], title="tests" if every else "last test"))
+    if final:
+        print_table(evaluations_table(final.values(), title=f"final test, from seed {final['last'].seed}"))
+    shown = final.get("last", tests[-1] if tests else None)
+    if shown is not None and shown.any and shown.measures:
         title = "measures of the last policy in the final test" if final else "measures of the last test"
         print_table(measures_table(shown.measures, title))

@@ -7,11 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from karolos.errors import UsageError
-
-from .arguments import Database, Json, Runs, open_store
+from .arguments import Database, Json, Runs
 from .completion import complete_folder
-from .output import drawn_text, print_rows, say
+from .output import drawn_text, print_rows, say, warn
 from .sweep import print_trials, report_best
 
 if TYPE_CHECKING:
@@ -21,12 +19,17 @@ app = typer.Typer(name="sweeps", help="List sweeps, and show the trials of one."
 
 
 @app.command("list")
-def list_sweeps(runs: Runs = Path("runs"), database: Database = None, json: Json = False) -> None:
+def list_sweeps(
+    runs: Runs = Path("runs"),
+    database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
+    json: Json = False,
+) -> None:
     """List sweeps, the newest first: progress, and the best trial by the first objective."""
-    found: tuple[SweepRecord, ...] = ()
-    if store := open_store(runs, database):
-        with store:
-            found = store.sweeps.all()
+    from karolos.records.sweep_records import sweeps
+
+    found, problems = sweeps(runs)
+    for problem in problems:
+        warn(problem)
     if not found:
         say(f"no sweeps in {runs} yet; `karolos sweep SPEC` makes one")
     print_rows([sweep.row() if json else _short_row(sweep) for sweep in found], json=json)
@@ -41,15 +44,13 @@ def show(
         ),
     ],
     runs: Runs = Path("runs"),
-    database: Database = None,
+    database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
     json: Json = False,
 ) -> None:
     """Show a sweep: every trial with its objectives, settings and runs, and how good the best is on which seeds."""
-    store = open_store(runs, database)
-    if store is None:
-        raise UsageError(f"there is no sweep {name!r}", hint="`karolos sweep SPEC` makes one")
-    with store:
-        sweep = store.sweeps.find(name)
+    from karolos.records.sweep_records import find_sweep
+
+    sweep = find_sweep(runs, name)
     if json:
         print_rows([sweep.row()], json=True)
         return

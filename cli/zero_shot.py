@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
 
@@ -55,33 +54,39 @@ def zero_shot(
         on_warning=warn,
     )
     if json:
-        print_rows([{"run": folder.id, **done.row()}], json=True)
+        print_rows([{"run": folder.id, **done.changed_row()}], json=True)
         return
     print_table(transfers_table([done], title=folder.id))
-    if done.result.measures:
-        print_table(measures_table(done.result.measures, "measures"))
+    if done.measures:
+        print_table(measures_table(done.measures, "measures"))
     unused = "" if seed is not None else ", on which no policy was chosen"
-    say(f"{done.result.episodes} episodes from seed {done.seed}{unused}")
+    say(f"{done.episodes} episodes from seed {done.seed}{unused}")
 
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
     """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
     from karolos.environments.build import used
-    from karolos.evaluation.playing import score
+    from karolos.evaluation.playing import FirstSuccesses, evaluate
     from karolos.evaluation.policies import load_expert
     from karolos.report.tables import heading
     from karolos.specification import load_spec
+    from karolos.statistics.intervals import wilson
 
     spec = load_spec(path, overrides)
     testing = spec.testing
     seed = testing.final_seed if seed is None else seed
     environment, policy = load_expert(spec)
+    first, count = FirstSuccesses(), episodes or testing.final_count or testing.episodes
     with used(environment):
-        found = score(environment, policy, episodes=episodes or testing.final_count or testing.episodes, seed=seed)
-    row = {"spec": spec.name, "policy": "expert", "seed": seed, **asdict(found)}
+        found = evaluate(environment, policy, episodes=count, seed=seed, heard=first)
+    low, high = wilson(found.successes_end or 0, found.episodes)
+    row = {"spec": spec.name, "policy": "expert", "seed": seed, "episodes": found.episodes}
+    row |= {"success_any": found.success_any, "success_end": found.success_end, "low": low, "high": high}
+    row |= {"steps": first.mean, "measures": found.counts.measures}
     if json:
         print_rows([row], json=True)
         return
-    measures = row.pop("measures")
-    print_rows([row], json=False)
-    print_rows([{"measure": heading(name, one), "mean": one["mean"]} for name, one in measures.items()], json=False)
+    print_rows([{name: value for name, value in row.items() if name != "measures"}], json=False)
+    print_rows(
+        [{"measure": heading(name, one), "mean": one["mean"]} for name, one in found.measures.items()], json=False
+    )

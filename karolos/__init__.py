@@ -6,8 +6,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from .evaluation.making import make
     from .evaluation.policies import load_run as load
+    from .evaluation.policies import make
     from .launchers.experiment import Experiment
     from .store.query import runs
 
@@ -17,7 +17,7 @@ __all__ = ["Experiment", "load", "make", "runs"]
 _LAZY = {
     "Experiment": ("launchers.experiment", "Experiment"),
     "load": ("evaluation.policies", "load_run"),
-    "make": ("evaluation.making", "make"),
+    "make": ("evaluation.policies", "make"),
     "runs": ("store.query", "runs"),
 }
 """Importing karolos takes milliseconds; these import torch, gymnasium or sqlalchemy at their first use."""

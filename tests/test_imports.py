@@ -87,7 +87,7 @@ for kind, name in [("environments", "toy"), ("robots", "panda"), ("tasks", "reac
     [
         ("import karolos", "torch numpy sqlalchemy pydantic gymnasium importlib.metadata"),
         ("import karolos.export", "torch pydantic pybullet mujoco onnx"),
-        ("import karolos.checkpoint", "torch"),
+        ("import karolos.records.checkpoint", "torch"),
         ("import karolos.orchestrator.local", "torch pybullet mujoco sqlalchemy"),
         (DESCRIBE, "torch pybullet mujoco sqlalchemy typer"),
     ],

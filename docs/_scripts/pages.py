@@ -28,8 +28,6 @@ from typer.testing import CliRunner
 from karolos.comparison import Contender, compare
 from karolos.plugins.inspection import inspect_robot, inspect_task
 from karolos.records import RunFolder, paths, run_records, shipped
-from karolos.records.results import TestCounts
-from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.tables import setting
@@ -270,10 +268,7 @@ def json_rows() -> str:
 
 def _fields_of_a_transfer() -> str:
     """The names of the fields of `karolos test --json`; no reference run has been tested elsewhere."""
-    final = RunFolder.open(paths(references.REFERENCE)[0]).final()
-    assert final is not None
-    counts = TestCounts.of(final.last)
-    row = TransferResult("", "best", "", (), False, 0, 0.0, final.last, {}, counts).row()
+    row = RunFolder.open(paths(references.REFERENCE)[0]).final()["last"].changed_row()
     names = ", ".join(f"`{name}`" for name in ("run", *row))
     return f"## karolos test\n\nOne row with the fields {names}. `own` is the same test under the unchanged spec.\n"
 

@@ -26,8 +26,7 @@ from karolos.export.export import export_policy
 from karolos.files import write_json
 from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
-from karolos.report.comparison_tables import estimate
-from karolos.report.tables import count, duration
+from karolos.report.tables import count, duration, estimate
 from karolos.specification import load_spec, spec_from_dict
 from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
@@ -90,7 +89,7 @@ def faults(folder: RunFolder) -> Iterator[str]:
     try:
         path, changed = command(folder)
         final = folder.final()
-        if _steps(path, changed) is None and (final is None or final.best is None or final.last.episodes < 1000):
+        if _steps(path, changed) is None and (len(final) < 2 or final["last"].episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
         if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
             yield "its spec is not the one that ships"
@@ -116,8 +115,7 @@ def add(path: Path) -> Path:
     _leave_out(target / "tests.jsonl", "measures", "distances")
     if (target / "final.jsonl").exists():
         _leave_out(target / "final.jsonl", "distances")  # the measure final_distance has them, too
-        # Of the best policy, behind a line about both policies and that of the last one.
-        _leave_out(target / "final.jsonl", "measures", after=2)
+        _leave_out(target / "final.jsonl", "measures", after=1)  # of the best policy, behind that of the last one
     write_json(target / "run.json", {**about, "command": portable(about["command"])})
     return target
 

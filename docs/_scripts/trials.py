@@ -13,9 +13,10 @@ from statistics import fmean
 
 import numpy as np
 
-from karolos.comparison import ComparedRun, Contender
+from karolos.comparison import Contender
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
+from karolos.records.run_records import RunRecord
 from karolos.specification import Spec, load_spec
 from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
 from karolos.training.assembly import check_parts
@@ -103,7 +104,7 @@ def commands() -> list[str]:
     return lines
 
 
-def area(run: ComparedRun, task: str) -> float:
+def area(run: RunRecord, task: str) -> float:
     """The mean success at the last step of the episode over the tests of a run until the trial's last step."""
     tests = [test.success_end or 0.0 for test in run.tests if test.steps <= 1.1 * STEPS[task]]
     return fmean(tests)

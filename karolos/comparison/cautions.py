@@ -6,8 +6,9 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 
+from ..records.run_records import RunRecord
 from ..simulation.engines import ENGINES
-from .contenders import ComparedRun, Contender
+from .contenders import Contender
 
 
 def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
@@ -55,7 +56,7 @@ def _without_return(contenders: Sequence[Contender]) -> list[str]:
     return found
 
 
-def _different(contenders: Sequence[Contender], what: str, of: Callable[[ComparedRun], object]) -> list[str]:
+def _different(contenders: Sequence[Contender], what: str, of: Callable[[RunRecord], object]) -> list[str]:
     """One line if the values of the runs differ; unknown values (None) do not count."""
     values = [
         sorted({str(value) for value in map(of, contender.runs) if value is not None}) for contender in contenders
@@ -69,24 +70,24 @@ def _each(contenders: Sequence[Contender], values: Sequence[object]) -> str:
     return "; ".join(f"{contender.label} {value}" for contender, value in zip(contenders, values, strict=True))
 
 
-def _testing(key: str, run: ComparedRun) -> object:
+def _testing(key: str, run: RunRecord) -> object:
     return (run.spec.get("testing") or {}).get(key)
 
 
-def _version(package: str, run: ComparedRun) -> str | None:
+def _version(package: str, run: RunRecord) -> str | None:
     """The version of a package; None if it is that of an engine that the run did not use."""
     engine = _engine(run)
     others = [one.package for one in ENGINES.values() if engine is not None and one.name != engine]
     return None if package in others else run.versions.get(package)
 
 
-def _engine(run: ComparedRun) -> str | None:
+def _engine(run: RunRecord) -> str | None:
     """The physics engine; None of an environment without one."""
     environment: Mapping[str, str] = run.spec.get("environment") or {}
     return environment.get("engine")
 
 
-def _task(run: ComparedRun) -> str | None:
+def _task(run: RunRecord) -> str | None:
     """Name of the task, or of the environment and its id if there is no task."""
     name = run.summary.task or run.summary.environment
     environment = run.spec.get("environment")

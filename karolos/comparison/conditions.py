@@ -1,4 +1,4 @@
-"""Success under changed settings: what `karolos test` recorded of the runs of an experiment."""
+"""What only run folders hold: tests under changed settings, and the final tests episode by episode."""
 
 from __future__ import annotations
 
@@ -10,14 +10,17 @@ from typing import Any
 
 from ..core.seeding import SeedTree
 from ..errors import KarolosError
-from ..records import RunFolder, transfer_results
-from ..records.results import TestCounts
+from ..records import RunFolder
+from ..records.evaluation import Evaluation
+from ..records.run_records import RunRecord
 from ..statistics import aggregates
 from .contenders import Contender
 from .scores import Estimate, estimate
 
-_Tests = dict[float, TestCounts]
+_Tests = dict[float, Evaluation]
 """Value of a setting -> test under it."""
+_Group = tuple[str, int | None, int]
+"""Checkpoint, seed and number of episodes of tests that belong together."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,16 @@ class Condition:
     """Which tests are left out, one sentence each."""
 
 
+def final_values(run: RunRecord) -> dict[str, tuple[float, ...]]:
+    """Each measure in the episodes of the final test in which it is defined; empty if no folder holds it."""
+    if run.summary.final:
+        with suppress(KarolosError):
+            if final := RunFolder.open(run.summary.folder).final():
+                measures = final["last"].measures.items()
+                return {name: tuple(x for x in one.get("values", ()) if x is not None) for name, one in measures}
+    return {}
+
+
 def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
     """For each setting that tests gave other numbers: success at each of them.
 
@@ -39,20 +52,20 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
     same episodes; a parameter of the world, such as task.gravity, has none in the spec. Of two tests at the same value
     the later one counts.
     """
-    tested: dict[str, dict[tuple[str, int, int], dict[int, _Tests]]] = {}
+    tested: dict[str, dict[_Group, dict[int, _Tests]]] = {}
     for place, run in enumerate(contender.runs):
         with suppress(KarolosError):  # the folder is gone or damaged, and the index does not hold these tests
-            tests = transfer_results.read(RunFolder.open(run.summary.folder))[0]
+            tests = RunFolder.open(run.summary.folder).transfers().rows
             policies = {test.checkpoint: test.sha256 for test in tests}
             for test in tests:
                 setting, _, text = test.overrides[0].partition("=") if len(test.overrides) == 1 else ("", "", "")
-                value, own, counts = _number(text), _number(_setting(run.spec, setting)), TestCounts.of(test.result)
-                if value is None or None in (counts.success_end, test.own.success_end):
+                value, own = _number(text), _number(_setting(run.spec, setting))
+                if value is None or test.own is None or not (test.has_success and test.own.has_success):
                     continue
                 if not test.randomized and test.sha256 == policies[test.checkpoint]:
                     groups = tested.setdefault(setting, {})
-                    of_run = groups.setdefault((test.checkpoint, test.seed, counts.episodes), {}).setdefault(place, {})
-                    of_run |= {value: counts} if own is None else {own: test.own, value: counts}
+                    of_run = groups.setdefault((str(test.checkpoint), test.seed, test.episodes), {})
+                    of_run.setdefault(place, {}).update({value: test} if own is None else {own: test.own, value: test})
     return {
         setting: _condition(contender, setting, groups, tree.child(setting))
         for setting, groups in sorted(tested.items())
@@ -60,14 +73,14 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
 
 
 def _condition(
-    contender: Contender, setting: str, groups: Mapping[tuple[str, int, int], dict[int, _Tests]], tree: SeedTree
+    contender: Contender, setting: str, groups: Mapping[_Group, dict[int, _Tests]], tree: SeedTree
 ) -> Condition:
     """The tests that belong together and have the most runs; of these the runs and values with the most tests.
 
     Args:
         contender: whose runs were tested.
         setting: that the tests changed.
-        groups: checkpoint, seed and number of episodes -> place of a run -> its tests.
+        groups: group -> place of a run -> its tests.
         tree: of the intervals' random numbers.
     """
     (checkpoint, seed, episodes), group = max(groups.items(), key=_size)
@@ -94,7 +107,7 @@ def _condition(
     return Condition(success, tuple(notes))
 
 
-def _size(group: tuple[tuple[str, int, int], dict[int, _Tests]]) -> tuple[int, int, int]:
+def _size(group: tuple[_Group, dict[int, _Tests]]) -> tuple[int, int, int]:
     """Runs, tests, and episodes of a test."""
     (_, _, episodes), tests = group
     return len(tests), sum(map(len, tests.values())), episodes

@@ -2,124 +2,19 @@
 
 from __future__ import annotations
 
-import math
-import os
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import Any, Literal
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
-from ..errors import RunError, UsageError
+from ..errors import UsageError
 from ..records import RunFolder
-from ..records.results import TestCounts
 from ..records.run_records import RunRecord, RunSummary
-from ..records.sweep_records import best_name
+from ..records.sweep_records import SweepRecord, read_sweep, sweep_folder
 from ..store import Store
 
-Success = Literal["any", "end"]
-"""How success is counted: the goal is reached at any step, or at the last step."""
-Metric = Literal["any", "end", "return"]
-"""What is compared: the success ratio, or the mean return."""
-
 LISTED = 5
-
-
-@dataclass(frozen=True)
-class ComparedRun:
-    """One run with its tests. Settings, versions and commit come from its folder, if that still exists."""
-
-    summary: RunSummary
-    tests: tuple[TestCounts, ...]
-    spec: Mapping[str, Any]
-    versions: Mapping[str, str]
-    commit: str | None
-    """Git commit, with a + when files differed from it."""
-
-    @property
-    def has_success(self) -> bool:
-        """Whether a test says how many episodes succeed."""
-        return self.summary.success_end is not None or any(test.successes_end is not None for test in self.tests)
-
-    def values(self, metric: Metric) -> tuple[float, ...]:
-        """Success ratio or mean return of each test."""
-        if metric == "return":
-            return tuple(math.nan if test.mean_return is None else test.mean_return for test in self.tests)
-        return tuple((getattr(test, f"successes_{metric}") or 0) / test.episodes for test in self.tests)
-
-    def reported(self, metric: Metric) -> float:
-        """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test.
-
-        nan of a return that is not finite.
-        """
-        summary = self.summary
-        final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
-        if summary.final and (final is not None or metric == "return"):
-            return math.nan if final is None else final
-        return self.values(metric)[-1]
-
-    def measured(self, name: str) -> float | None:
-        """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""
-        measure = self.summary.measures.get(name)
-        return None if measure is None else measure["mean"]
-
-    @cached_property
-    def final_values(self) -> Mapping[str, tuple[float, ...]]:
-        """Each measure in the episodes of the final test in which it is defined; empty if no folder holds it."""
-        with suppress(RunError):
-            final = RunFolder.open(self.summary.folder).final()
-            if final is not None and self.summary.final:
-                measures = final.last.measures.items()
-                return {name: tuple(x for x in one["values"] if x is not None) for name, one in measures}
-        return {}
-
-    @property
-    def episodes(self) -> int:
-        """Episodes of the test that `reported` is of."""
-        return (self.summary.episodes if self.summary.final else None) or self.tests[-1].episodes
-
-    @property
-    def finished(self) -> bool:
-        return self.summary.state == "finished"
-
-    @property
-    def updates_per_second(self) -> float | None:
-        """Gradient updates per second of collecting and learning; None if they are unknown."""
-        updates, seconds = self.summary.updates, self.summary.seconds
-        return updates / seconds if updates is not None and seconds else None
-
-    def at(self, steps: int) -> ComparedRun:
-        """The run as it was at its test nearest to this number of environment steps.
-
-        Raises UsageError if that is more than a tenth away.
-        """
-        nearest = min(self.tests, key=lambda test: abs(test.steps - steps))
-        if abs(nearest.steps - steps) > steps / 10:
-            raise UsageError(
-                f"{self.summary.run} has no test near {steps:,} steps",
-                where="--at",
-                hint=f"its nearest is at {nearest.steps:,}; name a number of steps at which all runs were tested",
-            )
-        tests = tuple(test for test in self.tests if test.steps <= nearest.steps)
-        summary = replace(
-            self.summary,
-            state="finished",
-            steps=nearest.steps,
-            seconds=nearest.seconds,
-            updates=None,  # tests do not say
-            success_any=nearest.success_any,
-            success_end=nearest.success_end,
-            mean_return=nearest.mean_return,
-            episodes=nearest.episodes,
-            measures=nearest.measures,
-            final=False,
-            best_steps=None,
-            best_any=None,
-            best_end=None,
-            best_return=None,
-        )
-        return replace(self, summary=summary, tests=tests)
 
 
 @dataclass(frozen=True)
@@ -133,7 +28,7 @@ class Contender:
     """
 
     label: str
-    runs: tuple[ComparedRun, ...]
+    runs: tuple[RunRecord, ...]
     problems: tuple[str, ...] = ()
 
     @property
@@ -151,40 +46,43 @@ class Contender:
         return self.runs[0].spec
 
 
-def gather(store: Store | None, runs: Sequence[RunSummary], label: str) -> Contender:
+def gather(store: Store | None, runs: Sequence[RunSummary], label: str, selector: str | None = None) -> Contender:
     """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
 
     Of the runs of a sweep, only those on seeds that its settings were not tuned or chosen on count, if there are any.
     Without a store the runs are read from their folders, and all count.
 
+    Args:
+        store: has the runs.
+        runs: what is compared.
+        label: name in tables and figures.
+        selector: what a person typed, for errors; the label by default.
+
     Raises:
         UsageError: the runs belong to several experiments, or no run has a test yet.
     """
     if store is None:
-        records = [RunFolder.open(run.folder).record() for run in runs]
-        return _contender(label, records, [])
-    runs, problems = _reporting(store, runs, label)
+        return _contender(label, [RunFolder.open(run.folder).record() for run in runs], [], selector)
+    runs, problems = _reporting(runs, label)
     experiments = sorted({run.experiment for run in runs})
     if len(experiments) > 1:
         shown = ", ".join(experiment[:12] for experiment in experiments[:LISTED])
         more = f" and {len(experiments) - LISTED} more" if len(experiments) > LISTED else ""
         raise UsageError(
-            f"{label} means {len(experiments)} experiments, whose specs differ, or files that they name",
+            f"{selector or label} means {len(experiments)} experiments, whose specs differ, or files that they name",
             hint=f"name one by its hash: {shown}{more}",
         )
     chosen = one_per_seed(runs)
     problems += repeated(label, runs)
-    return _contender(label, store.records([chosen[seed] for seed in sorted(chosen)]), problems)
+    return _contender(label, store.records([chosen[seed] for seed in sorted(chosen)]), problems, selector)
 
 
-def _contender(label: str, records: Sequence[RunRecord], problems: list[str]) -> Contender:
+def _contender(label: str, records: Sequence[RunRecord], problems: list[str], selector: str | None) -> Contender:
     """The contender of those runs that have a test; the others are one problem more."""
-    loaded = [load_compared(record) for record in records]
-    tested = tuple(run for run in loaded if run.tests)
+    tested = tuple(run for run in records if run.tests)
     if not tested:
-        raise UsageError(f"{label} has no test yet", hint="`karolos runs list` shows how far its runs are")
-    untested = [run.summary.run for run in loaded if not run.tests]
-    if untested:
+        raise UsageError(f"{selector or label} has no test yet", hint="`karolos runs list` shows how far its runs are")
+    if untested := [run.summary.run for run in records if not run.tests]:
         problems.append(f"{label}: left out, because they have no test: {', '.join(untested)}")
     return Contender(label, tested, tuple(problems))
 
@@ -234,31 +132,23 @@ def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
     return labels
 
 
-def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
+def _reporting(runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
     """The runs that say how good they are, or all if none does, and what to note.
 
     Of a sweep's trial those on its reporting seeds do, of its best spec those on seeds that it did not tune or choose
     on, and runs of no sweep.
     """
-    sweeps = store.sweeps.all()[::-1]  # the newest of a name last
-    trials = {trial.name: (record, trial.number) for record in sweeps for trial in record.trials}
-    bests = {best_name(record.name): record for record in sweeps}
+    sweeps: dict[Path, SweepRecord] = {}
     reporting: list[RunSummary] = []
     others: defaultdict[str, set[int]] = defaultdict(set)  # sweep -> seeds of its other runs
     for run in runs:
-        if run.name in trials:
-            record, number = trials[run.name]
-            reports = record.final and record.final.chosen == number and run.seed in record.final.report_seeds
-        elif run.name in bests:
-            record = bests[run.name]
-            reports = run.seed not in {*record.seeds, *(record.final.seeds if record.final else ())}
-        else:
-            reporting.append(run)
-            continue
-        if reports:
+        folder = sweep_folder(run)
+        if folder is not None and folder not in sweeps:
+            sweeps[folder], _ = read_sweep(folder)
+        if folder is None or sweeps[folder].reports(run.name, run.seed):
             reporting.append(run)
         else:
-            others[record.name].add(run.seed)
+            others[sweeps[folder].name].add(run.seed)
     if not reporting:
         biased = "tuned or chose its settings by these runs, so their success is biased upwards"
         return runs, [f"{label}: the sweep {name} {biased}" for name in others]
@@ -267,19 +157,3 @@ def _reporting(store: Store, runs: Sequence[RunSummary], label: str) -> tuple[Se
         f" {', '.join(map(str, sorted(seeds)))}"
         for name, seeds in others.items()
     ]
-
-
-def load_compared(record: RunRecord) -> ComparedRun:
-    """A run of the index or of a folder, with what only its folder holds."""
-    about: Mapping[str, Any] = {}
-    spec: Mapping[str, Any] = {}
-    if os.path.isdir(record.summary.folder):
-        with suppress(RunError):  # a damaged folder; the index has everything that a comparison needs
-            folder = RunFolder.open(record.summary.folder)
-            about, spec = folder.description(), folder.spec()
-    return ComparedRun(record.summary, record.tests, spec or record.spec, record.versions, _commit(about))
-
-
-def _commit(about: Mapping[str, Any]) -> str | None:
-    git = about.get("git") or {}
-    return f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None

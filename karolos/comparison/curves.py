@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.seeding import Generator
+from ..records.run_records import Metric, RunRecord, Success
 from ..statistics import aggregates
 from ..statistics.density import Density
 from ..statistics.intervals import wilson
 from ..store import Store
-from ..store.summaries import success_densities
-from .contenders import ComparedRun, Contender, Metric, Success
+from ..store.experiments import success_densities
+from .contenders import Contender
 
 Axis = Literal["steps", "seconds"]
 POINTS = 101
@@ -41,12 +42,12 @@ class Curve:
     high: _Floats
 
 
-def places(run: ComparedRun, axis: Axis) -> _Floats:
+def places(run: RunRecord, axis: Axis) -> _Floats:
     """Steps or seconds of a run's tests: (t,)."""
     return np.array([getattr(test, axis) for test in run.tests], float)
 
 
-def along(runs: Sequence[ComparedRun], axis: Axis, metric: Metric) -> tuple[_Floats, _Floats]:
+def along(runs: Sequence[RunRecord], axis: Axis, metric: Metric) -> tuple[_Floats, _Floats]:
     """Success ratios or mean returns of all seeds at common points: (t,) and (t, n).
 
     The points begin at the first test of the seed that was tested last, and end at the earliest end of an unfinished
@@ -65,7 +66,7 @@ def along(runs: Sequence[ComparedRun], axis: Axis, metric: Metric) -> tuple[_Flo
 
 
 def learning_curve(
-    runs: Sequence[ComparedRun], axis: Axis, metric: Metric, statistic: aggregates.Statistic, generator: Generator
+    runs: Sequence[RunRecord], axis: Axis, metric: Metric, statistic: aggregates.Statistic, generator: Generator
 ) -> Curve:
     """A statistic over the seeds with its band: Wilson's for one run, the range for 2 - 4, else bootstrap (95 %).
 
@@ -79,7 +80,10 @@ def learning_curve(
     elif len(runs) > 1 or metric == "return":
         low, high = values.min(axis=1), values.max(axis=1)
     else:
-        ends = [wilson(getattr(test, f"successes_{metric}") or 0, test.episodes) for test in runs[0].tests]
+        ends = [
+            wilson(round(value * test.episodes), test.episodes)
+            for value, test in zip(runs[0].values(metric), runs[0].tests, strict=True)
+        ]
         low, high = (np.interp(at, places(runs[0], axis), [pair[side] for pair in ends]) for side in (0, 1))
     return Curve(at, middle, low, high)
 

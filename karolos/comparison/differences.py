@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..records import RunFolder, provenance
+from ..records.run_records import without_seeds
 from ..specification import Spec
-from ..store.rows import without_seeds
 
 _FILE = re.compile(r"^diff --git a/.* b/(.*)$", re.MULTILINE)
 
@@ -58,28 +58,6 @@ class Side:
     patch: str
 
 
-@dataclass(frozen=True)
-class SideDifference:
-    """One thing that differs; MISSING on the side that lacks it.
-
-    Args:
-        part: run, spec, version, source or code.
-        key: key path of the spec, package, or file.
-    """
-
-    part: str
-    key: str
-    a: Any
-    b: Any
-
-    def row(self) -> dict[str, Any]:
-        """As JSON values: null for a side that lacks it; `missing` names that side."""
-        sides = {"a": self.a, "b": self.b}
-        missing = next((side for side, value in sides.items() if value is MISSING), None)
-        values = {side: None if value is MISSING else value for side, value in sides.items()}
-        return {"part": self.part, "key": self.key, **values, "missing": missing}
-
-
 def of_run(folder: RunFolder) -> Side:
     """What a run was made from, according to its folder."""
     about = folder.description()
@@ -104,24 +82,33 @@ def of_spec(spec: Spec, name: str) -> Side:
     return Side(name, dump, provenance.versions(), sources, None, commit, patch)
 
 
-def compare_sides(a: Side, b: Side) -> Iterator[SideDifference]:
-    """Everything that differs: seed, settings, versions, commit, changed files."""
+def compare_sides(a: Side, b: Side) -> Iterator[dict[str, Any]]:
+    """Everything that differs: seed, settings, versions, commit, changed files. A JSON object for each.
+
+    `part` is run, spec, version, source or code, `key` a key path, package or file, `missing` the side that lacks it.
+    """
     if a.seed is not None and b.seed is not None and a.seed != b.seed:
-        yield SideDifference("run", "seed", a.seed, b.seed)
-    for key, (one, other) in differences([without_seeds(a.spec), without_seeds(b.spec)]).items():
-        yield SideDifference("spec", key, one, other)
-    for key, (one, other) in differences([a.versions, b.versions]).items():
-        yield SideDifference("version", key, one, other)
+        yield _row("run", "seed", a.seed, b.seed)
+    for key, pair in differences([without_seeds(a.spec), without_seeds(b.spec)]).items():
+        yield _row("spec", key, *pair)
+    for key, pair in differences([a.versions, b.versions]).items():
+        yield _row("version", key, *pair)
     for key in sorted(a.sources.keys() & b.sources.keys()):  # not known of older runs
         if a.sources[key] != b.sources[key]:
-            yield SideDifference("source", key, a.sources[key][:12], b.sources[key][:12])
+            yield _row("source", key, a.sources[key][:12], b.sources[key][:12])
     if a.commit != b.commit:
-        yield SideDifference("code", "commit", a.commit or MISSING, b.commit or MISSING)
+        yield _row("code", "commit", a.commit or MISSING, b.commit or MISSING)
     ours, theirs = _changed(a.patch), _changed(b.patch)
     for file in sorted({*ours, *theirs}):
         if ours.get(file) != theirs.get(file):
-            one, other = (_lines(side[file]) if file in side else MISSING for side in (ours, theirs))
-            yield SideDifference("code", file, one, other)
+            yield _row("code", file, *(_lines(side[file]) if file in side else MISSING for side in (ours, theirs)))
+
+
+def _row(part: str, key: str, a: Any, b: Any) -> dict[str, Any]:
+    sides = {"a": a, "b": b}
+    missing = next((side for side, value in sides.items() if value is MISSING), None)
+    values = {side: None if value is MISSING else value for side, value in sides.items()}
+    return {"part": part, "key": key, **values, "missing": missing}
 
 
 def _changed(patch: str) -> dict[str, str]:

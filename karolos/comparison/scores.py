@@ -16,16 +16,16 @@ from numpy.typing import NDArray
 
 from ..core.seeding import SeedTree
 from ..errors import UsageError
-from ..records.results import MeasureMean
+from ..records.evaluation import Measured
+from ..records.run_records import Metric, RunRecord, Success, without_seeds
 from ..statistics import aggregates
 from ..statistics.density import Density
 from ..statistics.intervals import wilson
 from ..statistics.reaching import first_reaching, median_reaching
 from ..store import Store
-from ..store.rows import without_seeds
-from ..store.summaries import success_densities
+from ..store.experiments import success_densities
 from .cautions import cautions
-from .contenders import ComparedRun, Contender, Metric, Success
+from .contenders import Contender
 from .curves import densities, places
 from .differences import MISSING, differences
 
@@ -81,7 +81,7 @@ class Scores:
     measures: Mapping[str, Estimate | None]
     """By name, means over the episodes of the reported test; None if no episode of some run defines it."""
     density: Density | None
-    """Of the reported success over the seeds; None for a single one and for returns."""
+    """Density of the reported success over the seeds; None for a single one and for returns."""
     over_steps: tuple[NDArray[np.float64], tuple[Density, ...]] | None
     """Environment steps (t,) and the density at each; None for a single seed and for returns."""
     steps: float
@@ -114,7 +114,7 @@ class Comparison:
         return "return" if self.metric == "return" else "success"
 
     @property
-    def measures(self) -> dict[str, MeasureMean]:
+    def measures(self) -> dict[str, Measured]:
         """Unit and direction of each measure that a contender has, by name."""
         return {
             name: measure
@@ -284,7 +284,7 @@ def estimate(
     return Estimate(middle, *found, "bootstrap" if reliability == "usual" else "approximate")
 
 
-def reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Reaching:
+def reaching(runs: Sequence[RunRecord], success: Success, ratio: float) -> Reaching:
     """When the tests of some runs first reached a success ratio."""
     at = {
         axis: [first_reaching(run.values(success), list(places(run, axis)), ratio) for run in runs]
@@ -299,9 +299,7 @@ def reaching(runs: Sequence[ComparedRun], success: Success, ratio: float) -> Rea
     )
 
 
-def _improvement(
-    ours: Sequence[ComparedRun], theirs: Sequence[ComparedRun], metric: Metric, tree: SeedTree
-) -> Estimate:
+def _improvement(ours: Sequence[RunRecord], theirs: Sequence[RunRecord], metric: Metric, tree: SeedTree) -> Estimate:
     one, other = [run.reported(metric) for run in ours], [run.reported(metric) for run in theirs]
     probability = aggregates.improvement(one, other)
     found = aggregates.improvement_interval(one, other, tree.generator())

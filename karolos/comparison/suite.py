@@ -13,7 +13,7 @@ from ..launchers.suite import SuiteRuns
 from ..records import RunFolder, scan
 from ..records.run_records import THRESHOLD, RunRecord
 from ..specification import Spec
-from .contenders import ComparedRun, Contender, load_compared, one_per_seed
+from .contenders import Contender, one_per_seed
 from .differences import differences
 from .scores import Comparison, Reaching, Scores, compare, reaching
 
@@ -41,7 +41,7 @@ class Entry:
         return self.spec.name.removeprefix(f"{self.robot}_")
 
     @property
-    def runs(self) -> tuple[ComparedRun, ...]:
+    def runs(self) -> tuple[RunRecord, ...]:
         """The suite's runs."""
         return self.comparison.contenders[-1].runs
 
@@ -148,11 +148,11 @@ def _unlike(label: str, other: Mapping[str, Any], spec: Spec) -> str:
     return f"{label} has other settings: {', '.join(sorted(keys))}" if keys else ""
 
 
-def _tested(records: Iterable[RunRecord]) -> tuple[ComparedRun, ...]:
-    return tuple(load_compared(record) for record in records if record.tests)
+def _tested(records: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
+    return tuple(record for record in records if record.tests)
 
 
-def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[ComparedRun, ...] | str:
+def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[RunRecord, ...] | str:
     """The runs of a name in a folder but the suite's own: of the experiment, or of the only one; or why there are none.
 
     Of each seed there is one.

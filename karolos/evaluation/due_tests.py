@@ -1,4 +1,4 @@
-"""Tests of an agent as it was at some step: played in this process, or in a second one beside training.
+"""Tests of an agent as it was at some step: played in this process, or in a second one while training goes on.
 
 A test depends on the agent's state and on fixed seeds alone. Its result is the same in every process.
 """
@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from multiprocessing.util import Finalize
 
-from .. import checkpoint
 from ..core import Agent, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
 from ..orchestrator.start import fresh_start
 from ..orchestrator.worker import isolate
-from ..records.results import TestResult
+from ..records import checkpoint
+from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict
 from ..system import lower_priority
 from ..training.assembly import make_agent, make_orchestrator
@@ -33,7 +33,7 @@ CLOSE_SECONDS = 3.0
 
 
 @dataclass(frozen=True, eq=False)
-class DueTest:
+class DueEvaluation:
     """A test that is due: the agent as it was, and how far training was."""
 
     steps: int
@@ -45,7 +45,7 @@ class DueTest:
     """One per episode."""
 
     @cached_property
-    def parts(self) -> tuple[DueTest, ...]:
+    def parts(self) -> tuple[DueEvaluation, ...]:
         """The test in parts of PART episodes; itself if it has no more."""
         if len(self.seeds) <= PART:
             return (self,)
@@ -62,10 +62,10 @@ class Evaluator:
 
     def play(
         self,
-        test: DueTest,
+        test: DueEvaluation,
         on_failure: Callable[[Failure], object],
         on_round: Callable[[int], object] = lambda _: None,
-    ) -> TestResult:
+    ) -> Evaluation:
         """Play a test; `on_failure` and `on_round` as for `play_episodes`."""
         environments, agent = self.prepare()
         agent.load_state(test.agent)
@@ -101,7 +101,7 @@ class EvaluationProcess:
         self._spec = json.dumps(spec.dump())
         self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
 
-    def submit(self, test: DueTest) -> Future[tuple[TestResult, list[Failure]]]:
+    def submit(self, test: DueEvaluation) -> Future[tuple[Evaluation, list[Failure]]]:
         """Begin a test; its result comes with the failures of environments.
 
         Raises:
@@ -126,7 +126,7 @@ def _begin() -> None:
     lower_priority(NICENESS)
 
 
-def _play(resolved: str, agent: bytes, test: DueTest) -> tuple[TestResult, list[Failure]]:
+def _play(resolved: str, agent: bytes, test: DueEvaluation) -> tuple[Evaluation, list[Failure]]:
     """Play a test in the second process."""
     failures: list[Failure] = []
     result = _evaluator(resolved).play(replace(test, agent=checkpoint.unpack_state(agent)), failures.append)

@@ -1,17 +1,17 @@
-"""Plays episodes of a policy step by step, to watch or to score them."""
+"""Plays episodes of a policy step by step, to watch them or to count their successes."""
 
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from statistics import fmean
 
 import numpy as np
 
 from ..core import Environment, FloatArray
 from ..errors import UsageError
-from ..records.results import MeasureMean, measure_means
-from ..statistics.intervals import wilson
+from ..records.evaluation import Evaluation
 from .policies import Policy
 from .testing import measured, test_seeds
 
@@ -33,23 +33,17 @@ class Moment:
     """For pictures: `environment.render()`."""
 
 
-@dataclass(frozen=True)
-class Score:
-    """Success over some episodes."""
+class FirstSuccesses(dict[int, int]):
+    """Episode -> step at which its goal was first reached. Is called with the moments of the episodes."""
 
-    episodes: int
-    success_any: float
-    """Fraction of the episodes that reached the goal at some step."""
-    success_end: float
-    """Fraction of the episodes whose goal held at the last step."""
-    low: float
-    """Lower end of the 95 % Wilson interval of `success_end`."""
-    high: float
-    """Upper end."""
-    steps: float | None
-    """Mean step at which the goal was first reached, over the episodes that reached it; None without any."""
-    measures: dict[str, MeasureMean]
-    """By name."""
+    def __call__(self, moment: Moment) -> None:
+        if moment.success:
+            self.setdefault(moment.episode, moment.step)
+
+    @property
+    def mean(self) -> float | None:
+        """The mean over the episodes that reached their goals; None without any."""
+        return fmean(self.values()) if self else None
 
 
 def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
@@ -63,7 +57,7 @@ def play_failures(
 ) -> Iterator[Moment]:
     """Play the first `episodes` failures among the first `among` test episodes of `seed`; the others are not shown.
 
-    A failure is played twice: nobody can know before its end that it is one.
+    A failure is played twice, because only its end shows that it is one.
 
     Raises UsageError if the environment does not define success, or if none of these episodes fails.
     """
@@ -94,19 +88,36 @@ def _play_one(environment: Environment, policy: Policy, episode: int, seed: int)
         yield Moment(episode, step, bool(state.success), over, total, environment)
 
 
-def score(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Score:
-    """Play the first `episodes` test episodes of `seed`."""
-    first_successes: dict[int, int] = {}
-    ends = 0
+def evaluate(
+    environment: Environment,
+    policy: Policy,
+    *,
+    episodes: int,
+    seed: int,
+    heard: Callable[[Moment], object] = lambda _: None,
+) -> Evaluation:
+    """Play test episodes as `play` does, with a policy that did not train; `heard` is called with each moment."""
+    resets: list[bool] = []
+    reached: list[bool] = []
+    ends: list[Moment] = []
     measures: list[FloatArray] = []
     for moment in play(environment, policy, episodes=episodes, seed=seed):
-        if moment.success:
-            first_successes.setdefault(moment.episode, moment.step)
-            ends += moment.over
+        heard(moment)
+        if moment.step == 0:
+            resets.append(moment.success)
+            reached.append(False)
+        reached[-1] |= moment.success
         if moment.over:
+            ends.append(moment)
             measures.append(environment.measures())
-    low, high = wilson(ends, episodes)
-    reached = len(first_successes)
-    mean = sum(first_successes.values()) / reached if reached else None
-    means = measure_means(measured(environment.signature.measures, np.array(measures)))
-    return Score(episodes, reached / episodes, ends / episodes, low, high, mean, means)
+    return Evaluation.of(
+        0,
+        0.0,
+        any=tuple(reached),
+        end=tuple(end.success for end in ends),
+        reset=tuple(resets),
+        returns=tuple(end.total for end in ends),
+        lengths=tuple(end.step for end in ends),
+        distances=None,
+        measures=measured(environment.signature.measures, np.array(measures)),
+    )

@@ -11,21 +11,21 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .. import checkpoint
 from ..core import Agent, Discrete, Environment, Signature, State, Step, random_actions
 from ..core.deployed import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
 from ..environments.facts import Facts
 from ..environments.robot_task import RobotTask
-from ..errors import MachineError, UsageError
+from ..errors import MachineError, NoSuchRunError, UsageError
 from ..files import read_object
-from ..records import RunFolder, provenance
-from ..records.results import TestCounts
+from ..records import RunFolder, checkpoint, provenance
+from ..records.evaluation import Evaluation
 from ..records.shipped import POLICY, is_shipped
-from ..registry import blaming, load
+from ..registry import blaming, closest, load
 from ..simulation.engines import ENGINES, PhysicsEngine, installed_one
-from ..specification import Spec, spec_from_dict
+from ..specification import Spec, load_spec, spec_from_dict
+from ..specification.files import SHIPPED, SPEC_SUFFIXES, find_spec, shipped_specs
 from ..store.query import find_folder, index
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ class Learned:
     run: str
     checkpoint: str
     sha256: str
-    """Of the agent's state in the checkpoint, in hexadecimal digits."""
+    """Hash of the agent's state in the checkpoint, in hexadecimal digits."""
     steps: int
     """Environment steps of its training."""
     seconds: float
@@ -66,24 +66,23 @@ class SavedAgent(Learned):
     """The agent of a checkpoint, on the CPU."""
 
     spec: Spec
-    """Of the run. Its engine may be missing here: see `playable`."""
+    """The run's spec. Its engine may be missing here: see `playable`."""
     facts: Facts
-    """Of the environment that the agent was trained in."""
+    """Facts of the environment that the agent was trained in."""
     agent: Agent
-    tested: TestCounts | None = None
+    tested: Evaluation | None = None
     """Its final test, or the test at its steps."""
 
     @property
     def signature(self) -> Signature:
-        """Of the environment that the agent was trained in."""
+        """Signature of the environment that the agent was trained in."""
         return self.facts.signature
 
     def __repr__(self) -> str:
         """Two lines: whose policy it is and how good, and what goes in and out."""
         test, signature, good = self.tested, self.signature, "not tested"
         if test is not None:
-            end, mean = test.success_end, test.mean_return or 0.0
-            good = f"return {mean:.2f}" if end is None else f"success {end:.2f}"
+            good = f"success {test.success_end:.2f}" if test.has_success else f"return {test.mean_return or 0:.2f}"
             good += f" in {test.episodes} test episodes"
         known = signature.action
         action = f"one of {len(known.labels)} actions" if isinstance(known, Discrete) else f"action {known.size}"
@@ -218,15 +217,9 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
             agent.adopt(learned.state)
         else:
             agent.load_state(learned.state)
-    return SavedAgent(**vars(learned), spec=spec, facts=facts, agent=agent, tested=_test_of(folder, learned))
-
-
-def _test_of(folder: RunFolder, learned: Learned) -> TestCounts | None:
-    """The final test of what was learned; without one the test at its steps."""
-    final = folder.final()
-    result = (final.best if learned.checkpoint == "best" else final.last) if final else None
-    found = result or next((one for one in folder.tests() if one.steps == learned.steps), None)
-    return TestCounts.of(found) if found else None
+    tested = folder.final().get(learned.checkpoint)
+    tested = tested or next((test for test in folder.tests() if test.steps == learned.steps), None)
+    return SavedAgent(**vars(learned), spec=spec, facts=facts, agent=agent, tested=tested)
 
 
 def load_run(
@@ -247,6 +240,52 @@ def load_run(
     """
     with index(runs, database) as store:
         return load_agent(find_folder(str(run), store, runs), checkpoint)
+
+
+def make(
+    what: str | Path | Spec,
+    *,
+    randomize: bool = False,
+    render_mode: str | None = None,
+    width: int = 640,
+    height: int = 480,
+    runs: str | Path = "runs",
+    database: str | None = None,
+) -> GoalEnv:
+    """The gymnasium environment that a spec describes, with all its settings.
+
+    Args:
+        what: a spec file, or the name of a spec that ships, such as panda_push; a run, as `karolos.load` takes it; or a
+            Spec. A file comes first, then a spec that ships, then a run. `shipped:panda_push` is the run that ships.
+        randomize: whether to draw the spec's `randomization` at each reset, as training does and tests do not.
+        render_mode: None, "rgb_array", or "human": a window, if the engine has one.
+        width: of a picture in pixels.
+        height: of a picture in pixels.
+        runs: the runs folder.
+        database: URL of the database; by default the one in the runs folder.
+
+    Raises:
+        SpecError: the spec is invalid.
+        UsageError: there is neither such a spec nor such a run, the environment has no goals, or its engine is not
+            installed.
+        RunError: the run is damaged.
+    """
+    from ..environments.gymnasium.export import SpecEnv  # noqa: PLC0415  (imports gymnasium)
+
+    spec = what if isinstance(what, Spec) else _meant_spec(str(what), runs, database)
+    return SpecEnv(spec, randomize=randomize, render_mode=render_mode, width=width, height=height)
+
+
+def _meant_spec(what: str, runs: str | Path, database: str | None) -> Spec:
+    if find_spec(what)[0].is_file() or what.startswith(SHIPPED) or what.endswith(SPEC_SUFFIXES):
+        return load_spec(what)
+    with index(runs, database) as store:
+        try:
+            return spec_of(find_folder(what, store, runs))
+        except NoSuchRunError as error:
+            like = closest(what, shipped_specs())
+            hint = f"did you mean {like!r}, a spec that ships?" if like else error.hint
+            raise NoSuchRunError(f"{what!r} is neither a spec nor a run", hint=hint) from error
 
 
 def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
@@ -271,9 +310,7 @@ def random_policy(environment: Environment, seed: int) -> Policy:
 def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
     """One environment of the spec without randomization, and the expert of its task.
 
-    Raises:
-        UsageError: the spec has no robot and task, or the task has no expert.
-        MachineError: there is no display for the window.
+    Raises UsageError if there is no expert, MachineError if there is no display for the window.
     """
     environment = environment_of(spec, window=window)
     try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import overload
+from typing import Any, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +13,7 @@ from typing_extensions import override
 
 from ..core import Agent, Array, Failure, Measure, Orchestrator, Received, Step
 from ..core.seeding import SeedTree
-from ..records.results import MeasureValues, TestResult
+from ..records.evaluation import Evaluation
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def play_episodes(
     seconds: float = 0.0,
     on_failure: Callable[[Failure], object] = lambda _: None,
     on_round: Callable[[int], object] = lambda _: None,
-) -> TestResult:
+) -> Evaluation:
     """Play one episode per seed with the deterministic policy. No episode runs afterwards.
 
     Environment k mod size plays seed k. To take the episodes that end first would favour short episodes, which are the
@@ -130,9 +130,9 @@ def play_episodes(
         if distance is not None:
             distances[episodes] = distance
         begin(after(received))
-    return TestResult(
-        steps=steps,
-        seconds=seconds,
+    return Evaluation.of(
+        steps,
+        seconds,
         any=tuple(success_any.tolist()),
         end=tuple(success_end.tolist()),
         reset=tuple(success_reset.tolist()),
@@ -144,8 +144,8 @@ def play_episodes(
     )
 
 
-def measured(declared: Sequence[Measure], values: Array) -> dict[str, MeasureValues]:
-    """Measures by name, given their values (episodes, measures), to six significant digits."""
+def measured(declared: Sequence[Measure], values: Array) -> dict[str, Any]:
+    """Unit, better and values of each measure by name, given (episodes, measures), to six significant digits."""
     columns = [[None if math.isnan(one) else float(f"{one:.6g}") for one in column] for column in values.T.tolist()]
     return {
         one.name: {"unit": one.unit, "better": one.better, "values": tuple(column)}

@@ -4,22 +4,21 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from .. import checkpoint as checkpoints
 from ..errors import RunError
 from ..files import read_object, write_json, writing
-from ..records import RunFolder, provenance, transfer_results
+from ..records import RunFolder, provenance
+from ..records import checkpoint as checkpoints
 from ..records.decode import from_json
-from ..records.results import TestCounts, TestResult
+from ..records.evaluation import Evaluation
 from ..records.run_records import timestamp
 from ..records.shipped import is_shipped
-from ..records.transfer_results import TransferResult
 from ..specification import Spec
 from ..training.assembly import make_orchestrator
 from .changed_spec import changed_spec, engine_note
-from .policies import SavedAgent, engine_of, load_agent, playable
+from .policies import engine_of, load_agent, playable
 from .testing import play_episodes, test_seeds
 
 REQUEST = "test.json"
@@ -58,13 +57,13 @@ class ZeroShotTest:
             folder.mkdir(parents=True, exist_ok=True)
         write_json(folder / REQUEST, asdict(self))
 
-    def result(self) -> TransferResult | None:
+    def result(self) -> Evaluation | None:
         """The result in the run's folder; None if this policy has not played these episodes yet."""
         folder = RunFolder.open(self.run)
         sha256 = checkpoints.digest(folder.checkpoints, self.checkpoint, "agent")
         wanted = (sha256, self.overrides, False, self.seed, self.episodes)
-        for done in transfer_results.read(folder)[0]:
-            if (done.sha256, done.overrides, done.randomized, done.seed, done.result.episodes) == wanted:
+        for done in folder.transfers().rows:
+            if (done.sha256, done.overrides, done.randomized, done.seed, done.episodes) == wanted:
                 return done
         return None
 
@@ -90,14 +89,14 @@ def zero_shot_test(
     randomize: bool = False,
     on_warning: Callable[[str], object] = lambda _: None,
     on_round: Callable[[int], object] = lambda _: None,
-) -> TransferResult:
+) -> Evaluation:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
     Nothing is written for a run that ships.
 
-    The same policy's success on the same episodes under the unchanged spec stands beside it. It comes from the final
-    test if that played these episodes; otherwise they are played, too. Where the run's engine is not installed, another
-    one takes its place, and the result's overrides name it.
+    The result has the numbers of the same policy on the same episodes under the unchanged spec. They come from the
+    final test if that played these episodes; otherwise they are played, too. Where the run's engine is not installed,
+    another one takes its place, and the result's overrides name it.
 
     Args:
         folder: the run's.
@@ -130,7 +129,7 @@ def zero_shot_test(
     count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
     use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
 
-    def play(spec: Spec, *, drawing: bool) -> TestResult:
+    def play(spec: Spec, *, drawing: bool) -> Evaluation:
         with make_orchestrator(spec, randomize=drawing) as orchestrator:
             return play_episodes(
                 orchestrator,
@@ -147,8 +146,12 @@ def zero_shot_test(
     wall_seconds = time.perf_counter() - started
     own = result
     if overrides or randomize:
-        own = _from_final_test(folder, saved, seed, count) or play(here, drawing=False)
-    transfer = TransferResult(
+        policy = saved.sha256, seed
+        known = (one for one in folder.final().values() if (one.sha256, one.seed) == policy and one.episodes >= count)
+        final = next(known, None)
+        own = play(here, drawing=False) if final is None else Evaluation.joined([final], count)
+    transfer = replace(
+        result,
         time=timestamp(),
         checkpoint=saved.checkpoint,
         sha256=saved.sha256,
@@ -156,20 +159,9 @@ def zero_shot_test(
         randomized=randomize,
         seed=seed,
         wall_seconds=wall_seconds,
-        result=result,
-        own=TestCounts.of(own),
+        own=own.counts,
         versions=provenance.versions(),
     )
     if not is_shipped(folder):
-        transfer_results.add(folder, transfer)
+        folder.add_transfer(transfer)
     return transfer
-
-
-def _from_final_test(folder: RunFolder, saved: SavedAgent, seed: int, count: int) -> TestResult | None:
-    """The result of this policy on these episodes in the run's final test; None if it did not play them."""
-    final = folder.final()
-    if final is None or final.seed != seed:
-        return None
-    policies = {final.last_sha256: final.last, final.best_sha256: final.best}
-    own = policies.get(saved.sha256)
-    return own.first(count) if own is not None and own.episodes >= count else None

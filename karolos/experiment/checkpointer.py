@@ -6,16 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from .. import checkpoint
 from ..core import State
 from ..errors import MachineError
-from ..evaluation.due_tests import DueTest
+from ..evaluation.due_tests import DueEvaluation
 from ..evaluation.testing import test_seeds
-from ..records import RunFolder
-from ..records.results import TestResult
+from ..records import RunFolder, checkpoint
+from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..training.training import Training
-from .announcer import Announce
+from .events import Announce
 from .resume import LAST, PREVIOUS
 from .writer import RunWriter
 
@@ -41,7 +40,7 @@ class Checkpointer:
     writer: RunWriter
     spec: Spec
     seed: int
-    pending: list[DueTest]
+    pending: list[DueEvaluation]
     announce: Announce
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
@@ -58,23 +57,23 @@ class Checkpointer:
     def _folder(self) -> RunFolder:
         return self.writer.folder
 
-    def tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+    def tested(self, training: Training, test: DueEvaluation, result: Evaluation) -> None:
         """A test is over. Training may have gone on since it was due."""
         self._choose(test, result)
         if test.steps == training.steps:
             self.save(training)
 
-    def _choose(self, test: DueTest, result: TestResult) -> None:
+    def _choose(self, test: DueEvaluation, result: Evaluation) -> None:
         """Write the tested agent as `best` if no earlier test is better."""
         rank = _rank(result)
         if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
-            chosen_by = {"success_any": result.success_any, "success_end": result.success_end}
+            chosen_by: dict[str, float | None] = {"success_any": result.success_any, "success_end": result.success_end}
             if not result.has_success:
                 chosen_by = {"mean_return": result.mean_return}
             if self._write(BEST, {"agent": test.agent}, test, {"chosen_by": chosen_by}):
                 self._best = rank
 
-    def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueTest]:
+    def restore(self, training: Training, parts: Mapping[str, State]) -> list[DueEvaluation]:
         """Continue from the parts of a checkpoint `last`; returns the tests that are still to be played.
 
         Raises:
@@ -86,7 +85,7 @@ class Checkpointer:
             self.diverged[:] = run.get("diverged", ())
             self._best = tuple(map(float, run["best"]))
             seeds = test_seeds(self.spec.testing.seed, self.spec.testing.episodes)
-            tests = [DueTest(**row | {"seeds": seeds}) for row in run["tests"]]
+            tests = [DueEvaluation(**row | {"seeds": seeds}) for row in run["tests"]]
             for state in (*(test.agent for test in tests), parts["agent"]):  # a pending test's may not fit either
                 training.agent.load_state(state)
             training.buffer.load_state(parts["buffer"])
@@ -137,7 +136,9 @@ class Checkpointer:
                 hint="free some space; `karolos resume` continues from the last checkpoint that was written, if any",
             )
 
-    def _write(self, name: str, parts: Mapping[str, State], at: Training | DueTest, more: Mapping[str, Any]) -> bool:
+    def _write(
+        self, name: str, parts: Mapping[str, State], at: Training | DueEvaluation, more: Mapping[str, Any]
+    ) -> bool:
         """Write a checkpoint; returns whether it is on the disk."""
         amounts = {"steps": at.steps, "updates": at.updates, "seconds": at.seconds}
         meta = {"experiment": self._folder.description()["experiment"], "seed": self.seed, **amounts, **more}
@@ -147,6 +148,8 @@ class Checkpointer:
         return False
 
 
-def _rank(result: TestResult) -> tuple[float, ...]:
+def _rank(result: Evaluation) -> tuple[float, ...]:
     """What the best test has most of: success, or return where the environment defines no success."""
-    return (1.0, result.success_end, result.success_any) if result.has_success else (0.0, result.mean_return)
+    if result.success_end is None or result.success_any is None:
+        return 0.0, result.known_return
+    return 1.0, result.success_end, result.success_any

@@ -6,9 +6,8 @@ import shutil
 from collections.abc import Sequence
 from typing import Any
 
-from .. import checkpoint
 from ..errors import UsageError
-from ..records import RunFolder, provenance
+from ..records import RunFolder, checkpoint, provenance
 from ..specification import Spec, spec_from_dict
 from .events import Listener
 from .resume import LAST, check_files, find_run

@@ -9,12 +9,12 @@ from contextlib import suppress
 from time import perf_counter
 
 from ..core import Failure
-from ..evaluation.due_tests import DueTest, EvaluationProcess, Evaluator
+from ..evaluation.due_tests import DueEvaluation, EvaluationProcess, Evaluator
 from ..evaluation.testing import test_seeds
-from ..records.results import TestResult
+from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..training.training import Training
-from .announcer import Announce
+from .events import Announce
 from .signals import StopRequest, StopRequestedError
 from .writer import RunWriter
 
@@ -60,7 +60,7 @@ class PendingTests:
         self,
         spec: Spec,
         training: Training,
-        pending: list[DueTest],
+        pending: list[DueEvaluation],
         writer: RunWriter,
         stop: StopRequest,
         announce: Announce,
@@ -73,13 +73,13 @@ class PendingTests:
         """For announcements."""
         self._any_finished = False
         """Whether this process has seen a result."""
-        self._results: dict[DueTest, TestResult] = {}
+        self._results: dict[DueEvaluation, Evaluation] = {}
         """Of parts of pending tests."""
         self._evaluator = Evaluator(spec)
-        self._here: DueTest | None = None
+        self._here: DueEvaluation | None = None
         """The part that this process plays."""
         self._process: EvaluationProcess | None = None
-        self._beside: tuple[DueTest, Future[tuple[TestResult, list[Failure]]]] | None = None
+        self._beside: tuple[DueEvaluation, Future[tuple[Evaluation, list[Failure]]]] | None = None
         """The part that the second process plays, and its result."""
         self._processes_left = MAX_LOST_PROCESSES if beside else 0
         self._played, self._spent = 0, 0.0
@@ -89,7 +89,9 @@ class PendingTests:
         """Add a test of the agent as it is, and play here what may not wait."""
         training, testing = self._training, self._spec.testing
         seeds = test_seeds(testing.seed, testing.episodes)
-        self.pending.append(DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds))
+        self.pending.append(
+            DueEvaluation(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
+        )
         self.catch_up()
 
     def catch_up(self) -> None:
@@ -101,19 +103,19 @@ class PendingTests:
             self._play_here()
         self.advance()
 
-    def play_remaining(self) -> Iterator[tuple[DueTest, TestResult]]:
+    def play_remaining(self) -> Iterator[tuple[DueEvaluation, Evaluation]]:
         """Play all pending tests, or as many as possible until a stop is requested."""
         yield from self.finished()
         while not self._stop.requested and self.pending:
             self._play_here()
             yield from self.finished()
 
-    def finished(self) -> Iterator[tuple[DueTest, TestResult]]:
+    def finished(self) -> Iterator[tuple[DueEvaluation, Evaluation]]:
         """Remove the tests that are over from `pending`; a test waits for those before it."""
         while self.pending and self._is_over(self.pending[0]):
             self._any_finished = True
             test = self.pending.pop(0)
-            yield test, TestResult.joined([self._results.pop(part) for part in test.parts])
+            yield test, Evaluation.joined([self._results.pop(part) for part in test.parts])
 
     def advance(self) -> None:
         """Receive what the second process has played, and give it the next part. Does not wait."""
@@ -144,14 +146,14 @@ class PendingTests:
             self._process = None
         self._beside = None
 
-    def _is_over(self, test: DueTest) -> bool:
+    def _is_over(self, test: DueEvaluation) -> bool:
         return all(part in self._results for part in test.parts)
 
     def _waiting(self) -> int:
         """Pending tests that are not over."""
         return sum(not self._is_over(test) for test in self.pending)
 
-    def _parts(self, *, taken: bool = True) -> Iterator[DueTest]:
+    def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
         """The parts without a result, in order; `taken`: also those that a process plays."""
         playing = () if taken else (self._here, self._beside and self._beside[0])
         every = (part for test in self.pending for part in test.parts)
@@ -178,7 +180,7 @@ class PendingTests:
             self._spent, self._played = spent + perf_counter() - started, played + len(part.seeds)
         self._here = None
 
-    def _record(self, part: DueTest, result: TestResult) -> None:
+    def _record(self, part: DueEvaluation, result: Evaluation) -> None:
         """Keep the first result of a part."""
         if part in self._parts():
             self._results[part] = result

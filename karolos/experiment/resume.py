@@ -6,11 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from .. import checkpoint
-from ..checkpoint import CheckpointError
 from ..core import State
 from ..errors import RunError
-from ..records import RunFolder, scan
+from ..records import RunFolder, checkpoint, scan
+from ..records.checkpoint import CheckpointError
 from ..records.run_folder import renamed
 from ..specification import Spec
 

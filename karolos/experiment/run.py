@@ -7,18 +7,17 @@ from __future__ import annotations
 
 import traceback
 from contextlib import ExitStack
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
-from .. import checkpoint
-from ..checkpoint import CheckpointError
 from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, RunError, WorkerError, described
-from ..evaluation.due_tests import DueTest
+from ..evaluation.due_tests import DueEvaluation
 from ..evaluation.testing import test_seeds
-from ..records import RunFolder
-from ..records.results import FinalTest, TestResult
+from ..records import RunFolder, checkpoint
+from ..records.checkpoint import CheckpointError
+from ..records.evaluation import Evaluation
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
@@ -26,9 +25,8 @@ from ..training.assembly import learner, make_agent, make_buffer, make_orchestra
 from ..training.demonstrations import collect_demonstrations
 from ..training.episodes import Episode
 from ..training.training import Training
-from .announcer import Announcer
 from .checkpointer import BEST, Checkpointer
-from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
+from .events import Announcer, Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError, TimeIsUpError
@@ -66,7 +64,7 @@ class Run:
     stop: StopRequest
     snapshot: Snapshot | None = None
     beside: bool = False
-    _pending: list[DueTest] = field(default_factory=list, init=False)
+    _pending: list[DueEvaluation] = field(default_factory=list, init=False)
     """Tests without a recorded result."""
 
     def __post_init__(self) -> None:
@@ -255,7 +253,7 @@ class Run:
         if due and tests.pending:
             self._checkpointer.save(training)
 
-    def _tested(self, training: Training, test: DueTest, result: TestResult) -> None:
+    def _tested(self, training: Training, test: DueEvaluation, result: Evaluation) -> None:
         """Write a test down, and tell the listener when everything is written."""
         self._writer.write_test(training, result)
         self._points.add_test(result)
@@ -268,22 +266,27 @@ class Run:
         if not settings.final_count:
             return True
         seeds = test_seeds(settings.final_seed, settings.final_count)
-        last = DueTest(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
+        last = DueEvaluation(training.steps, training.updates, training.seconds, training.agent.state(), seeds)
         best, last_sha256, best_sha256 = None, "", None
         with self._writer.tolerated(CheckpointError, "the final test does not say which checkpoint was `last`"):
             last_sha256 = checkpoint.digest(folder, LAST, "agent")
         with self._writer.tolerated(CheckpointError, "the final test of this checkpoint is missing"):
             agent, meta, best_sha256 = checkpoint.load_part(folder, BEST, "agent")
             amounts = int(meta["steps"]), int(meta["updates"]), float(meta["seconds"])
-            best = last if amounts[0] == training.steps else DueTest(*amounts, agent, seeds)
+            best = last if amounts[0] == training.steps else DueEvaluation(*amounts, agent, seeds)
         tests.pending += [last] if best in (None, last) else [last, best]
         tests.activity = "final test"
         results = dict(tests.play_remaining())
         if tests.pending:
             return False
-        final = FinalTest(settings.final_seed, results[last], results[best] if best else None, last_sha256, best_sha256)
+        policies = {"last": (last, last_sha256), "best": (best, best_sha256)}
+        final = {
+            name: replace(results[test], checkpoint=name, sha256=sha256, seed=settings.final_seed)
+            for name, (test, sha256) in policies.items()
+            if test is not None
+        }
         self._writer.write_final(final)
-        self._points.add_final(final)
+        self._points.add_final(final["last"])
         self.listener(RunFinalTested(self.folder.id, final))
         return True
 

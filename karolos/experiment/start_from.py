@@ -10,13 +10,12 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from .. import checkpoint
 from ..core import Agent
 from ..core.deployed import Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
-from ..records import RunFolder
+from ..records import RunFolder, checkpoint
 from ..records.run_folder import renamed
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..registry import closest, load

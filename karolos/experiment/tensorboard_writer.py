@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import MachineError
 from ..files import writing
-from ..records.results import FinalTest, TestResult, measure_means
+from ..records.evaluation import Evaluation
 from ..specification.tree import leaves
 from ..training.episodes import Episode
 from ..training.training import Training
@@ -72,19 +72,16 @@ class TensorBoardWriter:
         has_success = training.orchestrator.signature.has_success
         self._add(groups | {"train": _episode_means(episodes, has_success=has_success)}, training.steps)
 
-    def add_test(self, result: TestResult) -> None:
+    def add_test(self, result: Evaluation) -> None:
         """Points of a test."""
-        success = {"success_any": result.success_any, "success_end": result.success_end} if result.has_success else {}
-        means = {"return": result.mean_return, "episode_length": float(np.mean(result.lengths))}
-        measured = {name: one["mean"] for name, one in measure_means(result.measures).items()}
-        known = {name: mean for name, mean in measured.items() if mean is not None}
-        self._add({"test": success | means, "measures": known}, result.steps)
+        means = {"return": result.known_return, "episode_length": float(np.mean(result.lengths))}
+        known = {name: one["mean"] for name, one in result.measures.items() if one["mean"] is not None}
+        self._add({"test": _success(result) | means, "measures": known}, result.steps)
 
-    def add_final(self, final: FinalTest) -> None:
+    def add_final(self, last: Evaluation) -> None:
         """Points of the final test of `last`: the metrics of TensorBoard's HParams."""
-        last = final.last
-        success = {"success_end": last.success_end} if last.has_success else {}
-        self._add({"final": success | {"return": last.mean_return}}, last.steps)
+        success = {name: value for name, value in _success(last).items() if name == "success_end"}
+        self._add({"final": success | {"return": last.known_return}}, last.steps)
 
     def close(self) -> None:
         with self._writer.tolerated(MachineError, "the last points are missing in TensorBoard"), writing(self._path):
@@ -122,6 +119,12 @@ def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> No
             records.write(Event(wall_time=time.time(), file_version="brain.Event:2").SerializeToString())
             records.write(Event(wall_time=time.time(), step=steps, summary=shown).SerializeToString())
             records.flush()
+
+
+def _success(test: Evaluation) -> dict[str, float]:
+    """Success by both ways to count it, if it is defined."""
+    known = {"success_any": test.success_any, "success_end": test.success_end}
+    return {name: value for name, value in known.items() if value is not None}
 
 
 def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[str, float]:

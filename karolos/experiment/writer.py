@@ -10,7 +10,7 @@ from typing import Any
 from ..core import Failure
 from ..errors import KarolosError, MachineError, StoreError
 from ..records import RunFolder, provenance
-from ..records.results import FinalTest, TestCounts, TestResult
+from ..records.evaluation import Evaluation
 from ..records.run_records import State
 from ..store import Store
 from ..training.episodes import Episode
@@ -39,7 +39,7 @@ class Ending:
     error: str | None = None
     """Why it failed."""
     traceback: str | None = None
-    """Of the error, if karolos or a plugin is at fault."""
+    """Traceback of the error, if karolos or a plugin is at fault."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ class RunWriter:
         if rows:
             self.folder.add_episodes(rows)
 
-    def write_test(self, training: Training, result: TestResult) -> None:
+    def write_test(self, training: Training, result: Evaluation) -> None:
         """A test is over. Training may have gone on since it was due."""
         self.folder.add_test(result)
         self.folder.set_state("running", **training.totals())
@@ -122,11 +122,11 @@ class RunWriter:
         with suppress(MachineError):
             self.folder.set_progress(**training.totals())
 
-    def write_final(self, final: FinalTest) -> None:
+    def write_final(self, final: Mapping[str, Evaluation]) -> None:
         """The final test is over."""
         self.folder.write_final(final)
-        best = asdict(TestCounts.of(final.best)) if final.best else None
-        self.folder.event("final_test", seed=final.seed, last=asdict(TestCounts.of(final.last)), best=best)
+        numbers = {name: one.counts.encode() for name, one in final.items()}
+        self.folder.event("final_test", seed=final["last"].seed, last=numbers["last"], best=numbers.get("best"))
 
     def end(self, ending: Ending) -> None:
         """The run is over. Environments are closed."""

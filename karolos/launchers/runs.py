@@ -29,7 +29,7 @@ from ..files import new_lines, read_object, write_json
 from ..records import RunFolder, provenance
 from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
-from ..records.results import TestResult, decode_test
+from ..records.evaluation import Evaluation, decode
 from ..records.run_folder import remove_lost_leftovers
 from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
@@ -99,9 +99,9 @@ class RunJob(Job):
     home: Home
     together: bool = False
     known: Mapping[int, RunFolder] = field(default_factory=dict)
-    tests: dict[int, dict[int, TestResult]] = field(default_factory=dict)
+    tests: dict[int, dict[int, Evaluation]] = field(default_factory=dict)
     """Seed -> steps -> test."""
-    finals: dict[int, TestResult] = field(default_factory=dict)
+    finals: dict[int, Evaluation] = field(default_factory=dict)
     """Seed -> the policy `last` in the final test, for runs that have one."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
     """Seed -> its run, when it has ended."""
@@ -128,10 +128,10 @@ class RunJob(Job):
     def read_tests(self, seed: int, folder: RunFolder) -> None:
         """Read the tests and the final test in a run's folder."""
         self.tests[seed] = {test.steps: test for test in folder.tests()}
-        if (final := folder.final()) is not None:
-            self.finals[seed] = final.last
+        if final := folder.final():
+            self.finals[seed] = final["last"]
 
-    def results(self) -> dict[int, list[TestResult]]:
+    def results(self) -> dict[int, list[Evaluation]]:
         """Seed -> its tests in order; seeds in the spec's order."""
         return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
 
@@ -166,7 +166,7 @@ class RunTask(FolderTask):
         job, folder = self._job, self._folder
         earlier, self._progress = self._progress, read_object(folder.progress) or {}
         happened = self._new_lines("events.jsonl")
-        tests = [decode_test(row) for row in self._new_lines("tests.jsonl")]  # written before these events
+        tests = [decode(row) for row in self._new_lines("tests.jsonl")]  # written before these events
         if any(row["event"] in ("started", "resumed") for row in happened):
             job.read_tests(self._seed, folder)  # a run that does not resume bit for bit has cut some
             yield from self._update_index()
@@ -183,8 +183,8 @@ class RunTask(FolderTask):
         for row in happened:
             if row["event"] == "warning":
                 yield RunWarned(folder.id, f"{row['error']} ({row['consequence']})")
-            elif row["event"] == "final_test" and (final := folder.final()) is not None:
-                job.finals[self._seed] = final.last
+            elif row["event"] == "final_test" and (final := folder.final()):
+                job.finals[self._seed] = final["last"]
                 yield RunFinalTested(folder.id, final)
             elif row["event"] == "failed":
                 self._failure = row["error"], row["traceback"]
@@ -193,7 +193,7 @@ class RunTask(FolderTask):
         rows, self._ends[name] = new_lines(self._folder.path / name, self._ends[name])
         return rows
 
-    def _update_index(self, result: TestResult | None = None) -> Iterator[RunEvent]:
+    def _update_index(self, result: Evaluation | None = None) -> Iterator[RunEvent]:
         """Update the run in the database; a failure is a warning."""
         try:
             index_run(self._job.home.url, self._folder)

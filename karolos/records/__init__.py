@@ -1,4 +1,4 @@
-"""The run folder: the truth about one run, in files that anybody can read.
+"""The run folder: the truth about one run, in files that any program can read.
 
     spec.yaml       the spec as its author wrote it, if there was a file
     resolved.json   the spec with every default filled in
@@ -6,14 +6,14 @@
     code.diff       how the code differed from that commit
     state.json      state, steps, seconds, attempt, error; replaced as a whole
     tests.jsonl     one line per test
-    final.jsonl     the final test, of last and of best
+    final.jsonl     the final test: one line for last, one for best
     events.jsonl    one line per event
     episodes.jsonl  one line per training episode, with what domain randomization drew
     tensorboard/    scalars, and films
     play.mp4        test episodes of its policy, after `karolos play`
     checkpoints/    best and last
     export/         its policy for use without karolos, after `karolos export`
-    transfers.jsonl one line per test of its policy under changed settings
+    transfers.jsonl one line per test of its policies under changed settings
     labels.json     tags and note
     progress.json   how far it is, while a launcher's process executes it
     launch.json     host of that process, the software that it must have, and why it refused (`problem`)

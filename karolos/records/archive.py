@@ -23,10 +23,10 @@ from typing import NamedTuple
 from typing_extensions import override
 
 from .. import system
-from ..checkpoint.manifest import PART
 from ..errors import RunError, UsageError, recorded, redact, without_folders
 from ..files import FileLock, parse_object, remove_leftovers, writing
 from . import RunFolder
+from .checkpoint import PART
 from .run_records import ID, RunRecord
 
 SUFFIX = ".tar.gz"
@@ -88,12 +88,12 @@ def export_runs(
     if target.exists():
         raise UsageError("the file exists already", where=str(target), hint="name another, or remove it")
     remove_leftovers(target.parent, rf"\.{re.escape(target.name)}\.(\d+)\.tmp")
-    beside = target.with_name(f".{target.name}.{os.getpid()}.tmp")
+    fresh = target.with_name(f".{target.name}.{os.getpid()}.tmp")
     sums: dict[str, str] = {}
     left_out: list[str] = []
     with writing(target):
         try:
-            with tarfile.open(beside, "x:gz", compresslevel=6) as archive:
+            with tarfile.open(fresh, "x:gz", compresslevel=6) as archive:
                 for folder in folders:
                     with folder:
                         folder.lock()  # no process writes meanwhile
@@ -106,9 +106,9 @@ def export_runs(
                                 sums[f"{folder.id}/{name}"] = hashlib.sha256(data).hexdigest()
                                 _add(archive, f"{folder.id}/{name}", data)
                 _add(archive, SUMS, "".join(f"{sha256}  {name}\n" for name, sha256 in sums.items()).encode())
-            system.replace(beside, target)
+            system.replace(fresh, target)
         finally:
-            system.remove(beside, missing_ok=True)
+            system.remove(fresh, missing_ok=True)
     return ExportedRuns(len(sums), tuple(left_out))
 
 

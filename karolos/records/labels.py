@@ -45,9 +45,7 @@ def is_damaged(folder: Path) -> bool:
 def add_tags(folder: Path, tags: Iterable[str]) -> bool:
     """Add tags to a run; returns whether that changed its labels.
 
-    Raises:
-        UsageError: a text cannot be a tag.
-        RunError: labels.json is damaged.
+    Raises UsageError if a text cannot be a tag, RunError if labels.json is damaged.
     """
     new = set(tags)
     for tag in new:
@@ -67,9 +65,7 @@ def remove_tags(folder: Path, tags: Iterable[str]) -> bool:
 def set_note(folder: Path, note: str) -> bool:
     """Replace the note; an empty text removes it. Returns whether that changed the labels.
 
-    Raises:
-        UsageError: it is too long.
-        RunError: labels.json is damaged.
+    Raises UsageError if it is too long, RunError if labels.json is damaged.
     """
     if not _NOTE.fullmatch(note):
         raise UsageError(f"the note has {len(note):,} characters", hint=f"up to {LONGEST_NOTE:,} can be stored")

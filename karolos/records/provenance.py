@@ -88,17 +88,15 @@ def _texts(value: object) -> Iterator[str]:
 
 
 def sources(names: Iterable[str] | None = None, unread: list[str] | None = None) -> dict[str, str]:
-    """SHA-256 (hex) of the source of karolos and of these packages and modules, those that are installed.
+    """SHA-256 (hex) of the source of karolos and of these installed packages and modules, by default of all plugins.
 
-    Args:
-        names: by default of all plugins.
-        unread: gets a line for each file that does not count, see `fingerprint`.
+    `unread` gets a line for each file that does not count, see `fingerprint`.
     """
     found = {}
     for name in sorted({"karolos", *({entry.package for entry in _plugins()} if names is None else names)}):
         try:
             spec = find_spec(name)
-        except Exception:  # an importer of anybody
+        except Exception:  # of any importer
             continue
         places = spec.submodule_search_locations or (spec.origin or "",) if spec else ()
         notes: list[str] = []

@@ -13,14 +13,16 @@ from fnmatch import fnmatchcase
 from hashlib import sha256
 from pathlib import Path
 from time import monotonic
-from typing import Any, TypeVar
+from typing import Any
 
 from .. import system
 from ..errors import MachineError, RunError, recorded, redact
 from ..files import (
     UNFINISHED,
     FileLock,
+    Lines,
     append_lines,
+    locked,
     parse_object,
     read_lines,
     read_values,
@@ -31,8 +33,8 @@ from ..files import (
 )
 from . import labels, provenance
 from .decode import from_json, read_json
+from .evaluation import Evaluation, decode, decode_final
 from .labels import Labels
-from .results import FinalTest, TestCounts, TestResult, decode_final, decode_test, encode_final, encode_test
 from .run_records import (
     FORMAT,
     SWEEPS,
@@ -48,11 +50,10 @@ from .run_records import (
 
 LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
-FINAL = "final.jsonl"
+TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")
-_Test = TypeVar("_Test", TestResult, TestCounts)
 
 
 class RunFolder:
@@ -75,15 +76,13 @@ class RunFolder:
         self._locked_at: float | None = None
         """When this process locked the run (monotonic, s)."""
         self._earlier_seconds = 0.0
-        """Of the processes before."""
+        """Seconds that earlier processes worked on the run."""
+        self._tests: Lines[Evaluation] | None = None
+        """What `_read_tests` has read. The process that locked the run alone writes tests, and reads them once."""
 
     @classmethod
     def create(cls, runs: str | Path, name: str, seed: int) -> RunFolder:
-        """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken.
-
-        Raises:
-            MachineError: the runs folder cannot be written.
-        """
+        """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken."""
         now = datetime.now(UTC)
         path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
         folder = cls(path)
@@ -95,8 +94,7 @@ class RunFolder:
     def open(cls, path: str | Path) -> RunFolder:
         """An existing run's folder, to read it or, after `lock()`, to continue the run.
 
-        Raises:
-            RunError: it is not a run folder, or a newer karolos made it.
+        Raises RunError if it is not a run folder, or a newer karolos made it.
         """
         folder = cls(Path(path))
         folder._run = _read_description(folder.path)
@@ -105,11 +103,7 @@ class RunFolder:
 
     @staticmethod
     def check_writable(runs: str | Path) -> None:
-        """Make the runs folder if it does not exist, and write into it.
-
-        Raises:
-            MachineError: the folder cannot be written.
-        """
+        """Make the runs folder if it does not exist, and try to write into it."""
         root = Path(runs)
         with writing(root):
             root.mkdir(parents=True, exist_ok=True)
@@ -125,14 +119,14 @@ class RunFolder:
         self.release()
 
     def lock(self, seconds: float = LOCK_SECONDS) -> None:
-        """Lock the run for this process until `release` or the process's end.
+        """Lock the run for this process until it ends or calls `release`.
 
-        Raises:
-            RunError: another process keeps it locked for this many seconds.
+        Raises RunError if another process keeps it locked for this many seconds.
         """
         if not self._lock.acquire(seconds):
             raise RunError("another process is running it", where=self.id, hint="wait for it, or stop it first")
         self._locked_at, self._earlier_seconds = monotonic(), self._stored_state().total_seconds
+        self._tests = None
         remove_leftovers(self.path, UNFINISHED)
 
     def release(self) -> None:
@@ -193,11 +187,7 @@ class RunFolder:
         return dict(self._run)
 
     def spec(self) -> dict[str, Any]:
-        """The resolved spec.
-
-        Raises:
-            RunError: its file is missing or damaged, or was changed after the run had begun.
-        """
+        """The resolved spec. Raises RunError if its file is missing or damaged, or was changed after the start."""
         spec = self.read_spec()
         if spec is None:
             raise RunError(f"resolved.json is {DAMAGED_SPEC}", where=self.id, hint="restore the folder from a copy")
@@ -213,12 +203,9 @@ class RunFolder:
         return parse_object(data) if made in (None, sha256(data).hexdigest()) else None
 
     def set_state(self, state: State, *, error: str | None = None, **amounts: Any) -> None:
-        """Replace the state.
+        """Replace the state by any but lost, and the error: why it failed, in one line.
 
-        Args:
-            state: any but lost.
-            error: why it failed, in one line.
-            amounts: steps, seconds and updates of training so far; what is not given keeps its value.
+        `amounts` are steps, seconds and updates of training so far; what is not given keeps its value.
         """
         self._write_state(replace(self._stored_state(), state=state, error=error and redact(error), **amounts))
 
@@ -244,40 +231,61 @@ class RunFolder:
         """The events in order; `record().problems` names lines that cannot be read."""
         return read_lines(self.path / "events.jsonl").rows
 
-    def add_test(self, result: TestResult) -> None:
-        """Append a test's result; it is on the disk when this returns."""
-        append_lines(self.path / "tests.jsonl", [encode_test(result)])
+    def add_test(self, test: Evaluation) -> None:
+        """Append a test during training; it is on the disk when this returns."""
+        append_lines(self.path / TESTS, [test.encode()])
+        if self._tests is not None:
+            self._tests = Lines((*self._tests.rows, test), self._tests.problems)
 
     def cut_tests(self, steps: int) -> None:
         """Remove the tests after this many steps: a run that does not resume bit for bit tests at other steps."""
-        path = self.path / "tests.jsonl"
+        path, self._tests = self.path / TESTS, None
         if not path.exists():
             return
         with writing(path):
             lines = path.read_bytes().splitlines(keepends=True)
-        kept = [line for line in lines if (test := _count_test(line)) is None or test.steps <= steps]
+        kept = [line for line in lines if (test := decode(line)) is None or test.steps <= steps]
         if len(kept) < len(lines):
             write_whole(path, b"".join(kept).decode(errors="replace"))
 
-    def tests(self) -> tuple[TestResult, ...]:
-        """The tests in the order of their steps; of two at the same step the later written, as a resumed run makes.
+    def tests(self) -> tuple[Evaluation, ...]:
+        """The tests during training in the order of their steps, episode by episode.
 
-        `record().problems` names lines that cannot be read.
+        Of two at the same step the one written later counts, as a resumed run makes. `record().problems` names lines
+        that cannot be read.
         """
-        return _by_steps(read_values(self.path / "tests.jsonl", decode_test, "test").rows)
+        return _by_steps(self._read_tests().rows)
 
-    def write_final(self, final: FinalTest) -> None:
-        """Write the final test, whole or not at all."""
-        lines = (json.dumps(row, separators=(",", ":"), allow_nan=False) for row in encode_final(final))
+    def _read_tests(self) -> Lines[Evaluation]:
+        if self._tests is not None and self._lock.held:
+            return self._tests
+        self._tests = read_values(self.path / TESTS, decode, "test")
+        return self._tests
+
+    def write_final(self, final: Mapping[str, Evaluation]) -> None:
+        """Write the final test of each checkpoint, `last` first: whole or not at all."""
+        lines = (json.dumps(one.encode(), separators=(",", ":"), allow_nan=False) for one in final.values())
         write_whole(self.path / FINAL, "".join(f"{line}\n" for line in lines))
 
-    def final(self) -> FinalTest | None:
-        """The final test; None before it, or if its file is damaged (`record().problems` says so)."""
+    def final(self) -> dict[str, Evaluation]:
+        """The final test by checkpoint, `last` and `best`, on episodes that nothing was chosen on.
+
+        `best` is missing if its checkpoint could not be written or read. Empty before the final test, or if its file is
+        damaged (`record().problems` says so).
+        """
         try:
-            text = (self.path / FINAL).read_bytes()
+            return decode_final((self.path / FINAL).read_bytes())
         except OSError:
-            return None
-        return decode_final(text) if text else None
+            return {}
+
+    def add_transfer(self, transfer: Evaluation) -> None:
+        """Append a test under changed settings, which any process may do at any time; it is on the disk on return."""
+        with locked(self.path / "transfers.lock"):
+            append_lines(self.path / TRANSFERS, [transfer.encode()])
+
+    def transfers(self) -> Lines[Evaluation]:
+        """The tests of its policies under changed settings in the order of the file, and one line per problem."""
+        return read_values(self.path / TRANSFERS, decode, "test")
 
     def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Append the records of training episodes, JSON values each."""
@@ -307,8 +315,8 @@ class RunFolder:
         spec = self.read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
-        # After the state: a finished run has all its tests.
-        tests, problems = read_values(self.path / "tests.jsonl", _count_test, "test")
+        rows, problems = self._read_tests()  # after the state: a finished run has all its tests
+        tests = tuple(test.counts for test in _by_steps(rows))
         if spec is None:
             problems += (f"resolved.json: {DAMAGED_SPEC}",)
         if state is None:
@@ -316,44 +324,56 @@ class RunFolder:
         if labels.is_damaged(self.path):
             problems += ("labels.json: damaged; tags and note cannot be read",)
         final = self.final()
-        if final is None and (self.path / FINAL).exists():
+        if not final and (self.path / FINAL).exists():
             problems += (f"{FINAL}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
-        counts = _by_steps(tests)
-        summary = self._summarise(now, spec or {}, counts, final)
-        return RunRecord(summary, spec or {}, counts, self._run.get("versions", {}), problems)
+        summary = self._summarise(now, spec or {}, tests, final)
+        git = self._run.get("git") or {}
+        commit = f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None
+        return RunRecord(summary, spec or {}, tests, self._run.get("versions", {}), commit, problems)
 
     def _summarise(
-        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[TestCounts], final: FinalTest | None
+        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[Evaluation], final: Mapping[str, Evaluation]
     ) -> RunSummary:
-        last = TestCounts.of(final.last) if final else tests[-1] if tests else None
-        best = TestCounts.of(final.best) if final and final.best else None
-        solved: dict[str, Any] = {}
-        for suffix, success in (("", "success_end"), ("_any", "success_any")):
-            first = next((test for test in tests if (getattr(test, success) or 0) >= THRESHOLD), None)
-            for name in ("steps", "seconds"):
-                solved[f"{name}_to_95{suffix}"] = getattr(first, name, None)
-        parts: dict[str, Any] = {kind: part_name(spec, kind) for kind in ("environment", "robot", "task", "agent")}
-        same = ("state", "steps", "seconds", "attempt", "error", "updates", "total_seconds")
-        counted = ("success_any", "success_end", "episodes", "mean_return")
-        reported: dict[str, Any] = {name: getattr(last, name, None) for name in counted}
-        reported["measures"] = last.measures if last else {}
+        reported, best, found = final.get("last", tests[-1] if tests else None), final.get("best"), self.labels()
+        solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
+        solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
         return RunSummary(
             run=self.id,
-            **{name: self._run[name] for name in ("experiment", "seed", "name", "created")},
-            **{name: getattr(state, name) for name in same},
-            **parts,
-            **vars(self.labels()),
-            **reported,
-            **solved,
+            experiment=self._run["experiment"],
+            seed=self._run["seed"],
+            state=state.state,
+            steps=state.steps,
+            seconds=state.seconds,
+            success_any=reported and reported.success_any,
+            success_end=reported and reported.success_end,
+            steps_to_95=solved and solved.steps,
+            seconds_to_95=solved and solved.seconds,
+            name=self._run["name"],
+            episodes=reported and reported.episodes,
+            environment=part_name(spec, "environment"),
+            robot=part_name(spec, "robot"),
+            task=part_name(spec, "task"),
+            agent=part_name(spec, "agent"),
+            attempt=state.attempt,
+            error=state.error,
+            created=self._run["created"],
             updated=state.updated or self._run["created"],
             folder=str(self.path.resolve()),
-            final=final is not None,
+            tags=found.tags,
+            note=found.note,
+            updates=state.updates,
+            final=bool(final),
+            best_steps=best and best.steps,
+            best_any=best and best.success_any,
+            best_end=best and best.success_end,
+            steps_to_95_any=solved_any and solved_any.steps,
+            seconds_to_95_any=solved_any and solved_any.seconds,
+            total_seconds=state.total_seconds,
+            mean_return=reported and reported.mean_return,
+            best_return=best and best.mean_return,
+            measures=reported.counts.measures if reported else {},
             source=provenance.source_of_others(self._run.get("sources") or {}),
-            best_steps=getattr(best, "steps", None),
-            best_any=getattr(best, "success_any", None),
-            best_end=getattr(best, "success_end", None),
-            best_return=getattr(best, "mean_return", None),
         )
 
     def _current(self, stored: RunState) -> RunState:
@@ -373,15 +393,7 @@ class RunFolder:
         write_json(self.path / "state.json", asdict(replace(state, updated=timestamp())), durable=durable)
 
 
-def _count_test(line: bytes) -> TestCounts | None:
-    """The counts of a test's line. Lines of version 0.1 have none, so their episodes are counted."""
-    if b'"successes_end"' in line:
-        return from_json(TestCounts, line)
-    result = decode_test(line)
-    return None if result is None else TestCounts.of(result)
-
-
-def _by_steps(tests: Iterable[_Test]) -> tuple[_Test, ...]:
+def _by_steps(tests: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
     """Tests in the order of their steps, of several at the same step the last."""
     unique = {test.steps: test for test in tests}
     return tuple(unique[steps] for steps in sorted(unique))

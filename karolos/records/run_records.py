@@ -1,17 +1,19 @@
-"""A run as frozen values: its state, its row in a listing, and the content of its folder."""
+"""A run as frozen values: its row in a listing, and what its folder and the index have of it."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from typing import Annotated, Any, Literal, NotRequired, get_args
 
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from .results import Count, MeasureMean, TestCounts
+from ..errors import UsageError
+from .evaluation import Count, Evaluation, Measured
 
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,199}")
 """A run's id: its name, seed and time."""
@@ -23,6 +25,10 @@ State = Literal["created", "running", "finished", "failed", "stopped", "lost"]
 STATES: tuple[str, ...] = get_args(State)
 """A run's folder holds all but `lost`, which readers compute."""
 UNFINISHED = ("created", "running")
+Success = Literal["any", "end"]
+"""How success is counted: the goal is reached at any step, or at the last step."""
+Metric = Literal["any", "end", "return"]
+"""What is compared: the success ratio, or the mean return."""
 THRESHOLD = 0.95
 """Lowest success at which a run counts as solved in steps_to_95 (`end`) and steps_to_95_any."""
 
@@ -49,7 +55,7 @@ class RunDescription(TypedDict):
     experiment: str
     """Hash of the settings that results depend on."""
     name: str
-    """Of the experiment."""
+    """Name of the experiment."""
     seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
@@ -58,9 +64,9 @@ class RunDescription(TypedDict):
     changed: NotRequired[dict[str, Any] | None]
     """Settings that differ from their defaults; None if that is not known."""
     resolved_sha256: NotRequired[str]
-    """Of the file resolved.json."""
+    """SHA-256 of the file resolved.json."""
     versions: NotRequired[dict[str, str]]
-    """Of Python, karolos, plugins and their dependencies when the run began."""
+    """Versions of Python, karolos, plugins and their dependencies when the run began."""
     sources: NotRequired[dict[str, str]]
     """SHA-256 of karolos and of the packages and modules that the spec names."""
     unread: NotRequired[list[str]]
@@ -126,7 +132,7 @@ class RunSummary:
     seconds_to_95: float | None
     """Seconds until then."""
     name: str
-    """Of the experiment."""
+    """Name of the experiment."""
     episodes: int | None
     """Episodes of the test that success and return are of: success_any * episodes is a whole number."""
     environment: str | None
@@ -162,7 +168,7 @@ class RunSummary:
     """Mean over the episodes of the sum of rewards."""
     best_return: float | None = None
     """That of the policy `best`."""
-    measures: dict[str, MeasureMean] = field(default_factory=dict, hash=False)
+    measures: dict[str, Measured] = field(default_factory=dict, hash=False)
     """By name, those of the test that success and return are of."""
     source: str | None = None
     """Hash of the plugins and modules of others that the spec names; None: it names none, or they are not known."""
@@ -174,17 +180,92 @@ class RunSummary:
 
 @dataclass(frozen=True)
 class RunRecord:
-    """The content of a run folder, as the index stores it."""
+    """A run with its tests, as its folder and the index have it."""
 
     summary: RunSummary
     spec: Mapping[str, Any]
-    """Resolved; empty if its file is damaged."""
-    tests: tuple[TestCounts, ...]
-    """In the order of their steps."""
+    """Resolved, in the index without its seeds; empty if its file is damaged."""
+    tests: tuple[Evaluation, ...]
+    """Numbers of the tests during training, in the order of their steps."""
     versions: Mapping[str, str]
-    """Of the software that made the run; empty if they are unknown."""
+    """Versions of the software that made the run; empty if they are unknown."""
+    commit: str | None = None
+    """Git commit, with a + when files differed from it."""
     problems: tuple[str, ...] = ()
     """One line per damaged file; not in the index."""
+
+    @property
+    def has_success(self) -> bool:
+        """Whether a test says how many episodes succeed."""
+        return self.summary.success_end is not None or any(test.has_success for test in self.tests)
+
+    def values(self, metric: Metric) -> tuple[float, ...]:
+        """Success ratio or mean return of each test."""
+        if metric == "return":
+            return tuple(test.known_return for test in self.tests)
+        return tuple((test.success_any if metric == "any" else test.success_end) or 0.0 for test in self.tests)
+
+    def reported(self, metric: Metric) -> float:
+        """Success ratio or mean return of the final test's policy `last`; without a final test, of the last test.
+
+        nan of a return that is not finite.
+        """
+        summary = self.summary
+        final = {"any": summary.success_any, "end": summary.success_end, "return": summary.mean_return}[metric]
+        if summary.final and (final is not None or metric == "return"):
+            return math.nan if final is None else final
+        return self.values(metric)[-1]
+
+    def measured(self, name: str) -> float | None:
+        """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""
+        measure = self.summary.measures.get(name)
+        return None if measure is None else measure["mean"]
+
+    @property
+    def episodes(self) -> int:
+        """Episodes of the test that `reported` is of."""
+        return (self.summary.episodes if self.summary.final else None) or self.tests[-1].episodes
+
+    @property
+    def finished(self) -> bool:
+        return self.summary.state == "finished"
+
+    @property
+    def updates_per_second(self) -> float | None:
+        """Gradient updates per second of collecting and learning; None if they are unknown."""
+        updates, seconds = self.summary.updates, self.summary.seconds
+        return updates / seconds if updates is not None and seconds else None
+
+    def at(self, steps: int) -> RunRecord:
+        """The run as it was at its test nearest to this number of environment steps.
+
+        Raises UsageError if that is more than a tenth away.
+        """
+        nearest = min(self.tests, key=lambda test: abs(test.steps - steps))
+        if abs(nearest.steps - steps) > steps / 10:
+            raise UsageError(
+                f"{self.summary.run} has no test near {steps:,} steps",
+                where="--at",
+                hint=f"its nearest is at {nearest.steps:,}; name a number of steps at which all runs were tested",
+            )
+        summary = replace(
+            self.summary,
+            state="finished",
+            steps=nearest.steps,
+            seconds=nearest.seconds,
+            updates=None,  # tests do not say
+            success_any=nearest.success_any,
+            success_end=nearest.success_end,
+            mean_return=nearest.mean_return,
+            episodes=nearest.episodes,
+            measures=nearest.measures,
+            final=False,
+            best_steps=None,
+            best_any=None,
+            best_end=None,
+            best_return=None,
+        )
+        return replace(self, summary=summary, tests=tuple(test for test in self.tests if test.steps <= nearest.steps))
 
 
 def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
@@ -195,6 +276,11 @@ def flatten(spec: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, An
             yield from flatten(value, f"{path}.")
         else:
             yield path, value
+
+
+def without_seeds(spec: Mapping[str, Any]) -> dict[str, Any]:
+    """A resolved spec without its seeds: runs of an experiment share it."""
+    return {key: value for key, value in spec.items() if key != "seeds"}
 
 
 def part_name(spec: Mapping[str, Any], kind: str) -> str | None:

@@ -10,7 +10,7 @@ FOLDER = Path(__file__).resolve().parent / "shipped_runs"
 SHIPPED = "shipped:"
 """Before the name of a run that ships, where a run of one's own has the same name."""
 POLICY = "policy.npz"
-"""The policy `last` of the run; policy.json beside it says which one it is."""
+"""The policy `last` of the run; policy.json says which one it is."""
 
 
 def shipped_names() -> tuple[str, ...]:

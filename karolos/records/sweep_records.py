@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -10,12 +11,13 @@ from typing import Any, Literal
 
 from pydantic import FiniteFloat
 
-from ..errors import RunError
+from ..errors import RunError, UsageError
 from ..files import FileLock, read_object, read_values
+from ..registry import closest
 from .decode import from_json, read_json
-from .results import Count
+from .evaluation import Count
 from .run_folder import paths
-from .run_records import ID, SWEEPS
+from .run_records import ID, SWEEPS, RunSummary
 
 FOLDER = SWEEPS
 DESCRIPTION, TRIALS, FINAL = "sweep.json", "trials.jsonl", "final.json"
@@ -29,7 +31,9 @@ _DESCRIBED = (
     *("name", "experiment", "created", "asked", "wants_final"),
     *("objectives", "directions", "parameters", "seeds"),
 )
-"""Fields of SweepRecord in sweep.json, beside its id."""
+"""Fields of SweepRecord in sweep.json; its id is there, too."""
+_OF_SWEEP = re.compile(r"(.+)-(?:t\d{3,}|best)")
+"""The name of a run of a sweep: of its trial, or of its best trial as a spec."""
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
@@ -98,7 +102,7 @@ class SweepRecord:
     parameters: tuple[str, ...]
     """Key paths of the searched settings."""
     seeds: tuple[int, ...]
-    """Of every trial."""
+    """Seeds of every trial."""
     asked: Count
     """Number of trials it shall have."""
     wants_final: bool
@@ -126,6 +130,16 @@ class SweepRecord:
         if self.final is not None:
             return next((trial for trial in self.trials if trial.number == self.final.chosen), None)
         return next(iter(self.ranked), None)
+
+    def reports(self, name: str, seed: int) -> bool:
+        """Whether a run says how good the sweep's settings are: they were neither tuned nor chosen on its seed."""
+        if name == best_name(self.name):
+            return seed not in {*self.seeds, *(self.final.seeds if self.final else ())}
+        return (
+            self.final is not None
+            and self.best is not None
+            and (name == self.best.name and seed in self.final.report_seeds)
+        )
 
     def state(self) -> str:
         """The state now: running; finished; or stopped, if trials are missing and no process carries it out."""
@@ -172,6 +186,46 @@ def is_running(folder: Path) -> bool:
 def sweep_paths(runs: str | Path) -> list[Path]:
     """The folders of sweeps in a runs folder, damaged ones included, by name."""
     return paths(Path(runs) / FOLDER, description=DESCRIPTION)
+
+
+def sweep_folder(run: RunSummary) -> Path | None:
+    """The folder of the sweep that a run belongs to, by its name; None without one."""
+    found = _OF_SWEEP.fullmatch(run.name)
+    folder = Path(run.folder).parent / FOLDER / found[1] if found else None
+    return folder if folder is not None and os.path.isfile(folder / DESCRIPTION) else None
+
+
+def is_trial(run: RunSummary) -> bool:
+    """Whether a run belongs to a trial of a sweep."""
+    return not run.name.endswith(best_name("")) and sweep_folder(run) is not None
+
+
+def sweeps(runs: str | Path, name: str | None = None) -> tuple[list[SweepRecord], tuple[str, ...]]:
+    """The sweeps in a runs folder, the newest first, or those of this name or id; and one line per damaged file."""
+    found: list[SweepRecord] = []
+    problems: list[str] = []
+    for path in sweep_paths(runs):
+        try:
+            record, damaged = read_sweep(path)
+        except RunError as error:
+            problems.append(str(error))
+            continue
+        problems += damaged
+        if name in (None, record.name, record.sweep):
+            found.append(record)
+    return sorted(found, key=lambda record: (record.created, record.sweep), reverse=True), tuple(problems)
+
+
+def find_sweep(runs: str | Path, name: str) -> SweepRecord:
+    """The one sweep of this name or id in a runs folder. Raises UsageError if there is none, or several."""
+    found, _ = sweeps(runs, name)
+    if not found:
+        like = closest(name, {record.name for record in sweeps(runs)[0]})
+        hint = "`karolos sweeps list` shows them"
+        raise UsageError(f"there is no sweep {name!r}", hint=f"did you mean {like!r}? {hint}" if like else hint)
+    if len(found) > 1:
+        raise UsageError(f"{name!r} means several sweeps", hint=f"one of {', '.join(one.sweep for one in found[:5])}")
+    return found[0]
 
 
 def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:

@@ -15,9 +15,7 @@ NAME = ".trash"
 def throw_away(folder: RunFolder) -> Path:
     """Move a run folder into the trash; returns its new path.
 
-    Raises:
-        RunError: a process is running it.
-        MachineError: it cannot be moved; it stays in place.
+    Raises RunError if a process is running it. After a MachineError it is in its old place.
     """
     trash = folder.path.parent / NAME
     with folder:
@@ -56,10 +54,7 @@ def find(runs: str | Path, selector: str) -> Path:
 def restore(path: Path) -> RunFolder:
     """Move a folder out of the trash, under its run's id.
 
-    Raises:
-        UsageError: a folder of that name exists.
-        RunError: it is damaged.
-        MachineError: it cannot be moved.
+    Raises UsageError if a folder of that name exists, RunError if it is damaged, MachineError if it cannot be moved.
     """
     folder = RunFolder.open(path)
     target = path.parent.parent / folder.id
@@ -74,12 +69,7 @@ def restore(path: Path) -> RunFolder:
 
 
 def purge(path: Path) -> None:
-    """Delete a folder in the trash.
-
-    Raises:
-        RunError: it is not in a trash.
-        MachineError: some of it cannot be deleted.
-    """
+    """Delete a folder in the trash. Raises RunError if it is elsewhere, MachineError if it cannot be deleted."""
     if path.parent.name != NAME or path.parent.is_symlink() or path.is_symlink():
         raise RunError("this is not in the trash", where=str(path), hint="`karolos runs rm RUN` moves it there")
     with writing(path):

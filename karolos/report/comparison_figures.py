@@ -3,21 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, Estimate, Metric, conditions, learning_curve
+from ..comparison import Comparison, Contender, Estimate, learning_curve
+from ..comparison.conditions import conditions, final_values
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..errors import UsageError
+from ..records.run_records import Metric
 from ..registry import alternatives
 from ..statistics import aggregates
-from .comparison_tables import decimal, estimate
 from .figures import COLOURS, Drawing, file_name, look, short, style
-from .tables import heading
+from .tables import decimal, estimate, heading
 
 _Floats = NDArray[np.float64]
 HOVERED = 25
@@ -134,12 +135,15 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
         _dots(drawing, comparison, values, estimates, span)
         _value_axis(drawing, "x", heading(name, one), ratio=False)
         drawings.append(drawing)
-    return drawings + [one for name in comparison.measures for one in _spread(comparison, name)]
+    finals = [[final_values(run) for run in contender.runs] for contender in comparison.contenders]
+    return drawings + [one for name in comparison.measures for one in _spread(comparison, name, finals)]
 
 
-def _spread(comparison: Comparison, name: str) -> list[Drawing]:
+def _spread(
+    comparison: Comparison, name: str, episodes: Sequence[Sequence[Mapping[str, Sequence[float]]]]
+) -> list[Drawing]:
     """How a measure is distributed over the episodes of the final tests; nothing where no folder holds them."""
-    finals = [[run.final_values.get(name, ()) for run in contender.runs] for contender in comparison.contenders]
+    finals = [[values.get(name, ()) for values in runs] for runs in episodes]
     known = [np.sort(values) for runs in finals for values in runs if len(values)]
     if not known:
         return []
@@ -296,7 +300,7 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         )
         axes = drawing.axes
         _x_axis(drawing, list(several.values()), "steps")
-        # The square root keeps a density of 1, which is no knowledge at all, visible beside one of 40.
+        # The square root keeps a density of 1, which says nothing, visible where another is 40.
         shades = np.sqrt(np.stack([one.density for one in each], axis=1) / peak)
         heights = np.linspace(0, 1, len(shades))
         borders = np.clip(np.append(heights, heights[-1] + heights[1]) - heights[1] / 2, 0, 1)

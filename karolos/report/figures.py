@@ -27,7 +27,7 @@ stands out from white by 4.5 : 1, as text must."""
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5))
 """Dash patterns of the contenders: solid for the first six, dashed for the next six, then dotted."""
 WIDTH, HEIGHT = 4.8, 3.4
-"""Of a figure, in inches."""
+"""Size of a figure, in inches."""
 FONT = 9
 """Size of its text in points, as in the style."""
 _UNDATED = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}, ".png": {}}

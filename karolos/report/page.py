@@ -12,10 +12,23 @@ from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
 from .. import __version__
-from ..comparison import ComparedRun, Comparison
-from .comparison_tables import explanations, measures_table, parameters_table, scores_table, verdict
+from ..comparison import Comparison
+from ..records.run_records import RunRecord
 from .figures import Drawing, style
-from .tables import Columns, Table, clean, count, duration, number, success
+from .tables import (
+    Columns,
+    Table,
+    clean,
+    compared_measures_table,
+    count,
+    duration,
+    explanations,
+    number,
+    parameters_table,
+    scores_table,
+    success,
+    verdict,
+)
 
 _INTERVAL = re.compile(r"(-?[\d.,]+|-) ((?:~?\[|\().*[\])])")
 FOLDER = Path(__file__).parent
@@ -51,7 +64,7 @@ def document(
 
     Args:
         title: of the page.
-        what: it shows, below the title, beside karolos's version.
+        what: it shows; stands below the title with karolos's version.
         sections: in their order.
         warnings: stand above the sections.
         contenders: labels for check boxes that show or hide what is theirs, by the style sheet alone.
@@ -100,7 +113,7 @@ def comparison_sections(comparison: Comparison, drawings: Mapping[str, Sequence[
         table=None if same else parameters_table(comparison),
     )
     of = defaultdict[str, Sequence[Drawing]](tuple, drawings)
-    measures = measures_table(comparison)
+    measures = compared_measures_table(comparison)
     return [
         Section(text=verdict(comparison)),
         *_drawn("Learning", [*of["steps"], *of["time"]]),
@@ -120,7 +133,7 @@ def _drawn(heading: str, figures: Sequence[Drawing], text: str = "") -> list[Sec
 
 
 def _runs_section(comparison: Comparison) -> Section:
-    columns: Columns[ComparedRun] = {
+    columns: Columns[RunRecord] = {
         "run": lambda run: run.summary.run,
         "seed": lambda run: str(run.summary.seed),
         "state": lambda run: ": ".join(filter(None, (run.summary.state, run.summary.error))),

@@ -11,10 +11,21 @@ from ..comparison import Estimate
 from ..comparison.suite import Entry, SuiteReport
 from ..files import write_whole, writing
 from .comparison_figures import heat_map, titled_curve
-from .comparison_tables import against_first, estimate, interval_notes, reached
 from .figures import Drawing, look
 from .page import Section, document
-from .tables import Columns, Table, count, decimals, duration, heading, runs_table
+from .tables import (
+    Columns,
+    Table,
+    against_first,
+    count,
+    decimals,
+    duration,
+    estimate,
+    heading,
+    interval_notes,
+    reached,
+    runs_table,
+)
 
 
 def _grid(report: SuiteReport) -> tuple[list[str], list[tuple[str, list[Estimate | None]]]]:

@@ -1,4 +1,4 @@
-"""Tables of runs, tests and specs as plain texts; `karolos_cli.output` and `page` show them."""
+"""Tables of runs, tests, specs and comparisons as plain texts; `karolos_cli.output` and `page` show them."""
 
 from __future__ import annotations
 
@@ -9,16 +9,24 @@ import math
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from ..statistics.intervals import wilson
 
 if TYPE_CHECKING:
-    from ..records.results import FinalTest, MeasureMean, MeasureValues, TestCounts, TestResult
+    from ..comparison.scores import Comparison, Estimate, Reaching, Scores
+    from ..records.evaluation import Evaluation, Measured
     from ..records.run_records import RunSummary
-    from ..records.transfer_results import TransferResult
 
+_INTERVALS = {
+    "bootstrap": "[low, high]: 95 % bootstrap interval over 10 seeds or more",
+    "approximate": "~[low, high]: 95 % bootstrap interval over 5 to 9 seeds, which covers less than 95 %",
+    "range": "(low to high): smallest and largest of 2 to 4 seeds, too few for an interval",
+    "wilson": "[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds",
+}
+"""Kind of an interval -> how it is written and what it is."""
 T = TypeVar("T")
 Columns = dict[str, Callable[[T], str]]
 """Heading of a column -> its cell for an object."""
@@ -58,9 +66,7 @@ class Table:
 def clean(text: object, allowed: str = "") -> str:
     """A text without characters that steer a terminal or reorder a line; "\N{REPLACEMENT CHARACTER}" replaces each.
 
-    Args:
-        text: often comes from a file.
-        allowed: characters to let through although they are not printable, such as a line break.
+    `allowed` characters are let through although they are not printable, such as a line break.
     """
     return "".join(
         character if character.isprintable() or character in allowed else "\N{REPLACEMENT CHARACTER}"
@@ -157,7 +163,7 @@ def decimals(value: float) -> int:
     return max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
 
 
-def heading(name: str, measure: MeasureMean | MeasureValues) -> str:
+def heading(name: str, measure: Measured) -> str:
     """A measure with its unit, and with its direction where the larger is better."""
     unit = "" if measure["unit"] == "1" else f", {measure['unit']}"
     return f"{name}{unit}{', larger is better' if measure['better'] == 'larger' else ''}"
@@ -205,23 +211,47 @@ def run_state(run: RunSummary) -> str:
     return f"{run.state}, no update" if run.updates == 0 and run.state in ("finished", "stopped") else run.state
 
 
-def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = (), *, title: str = "") -> Table:
+def run_facts(
+    run: RunSummary, about: Mapping[str, Any], checkpoints: Sequence[Mapping[str, Any]] | None = None
+) -> dict[str, object]:
+    """What is known about a run besides its tests and settings; None where it is not known.
+
+    `about` is the content of its run.json or empty, `checkpoints` their names and meta; None leaves them out.
+    """
+    git = about.get("git") or {}
+    points = [f"{point['name']} ({point.get('steps', 0):,} steps)" for point in checkpoints or ()]
+    return {
+        "run": run.run,
+        "state": run_state(run) if run.error is None else f"{run.state}: {run.error}",
+        "experiment": run.experiment,
+        "steps": f"{run.steps:,}, {duration(run.seconds)} of collecting and learning",
+        "total": duration(run.total_seconds),
+        "to .95, end": run.steps_to_95 and f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}",
+        "created": run.created,
+        "updated": run.updated,
+        "folder": run.folder,
+        "tags": ", ".join(run.tags) or None,
+        "note": run.note,
+        "checkpoints": None if checkpoints is None else ", ".join(points) or "none",
+        "command": " ".join(about.get("command") or ()) or None,
+        "git commit": (git and f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}")
+        or None,
+        "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,
+    }
+
+
+def evaluations_table(tests: Iterable[Evaluation], *, title: str = "") -> Table:
     """One row per test, with both ways to count success, or without success where no test has it.
 
-    Args:
-        tests: what to show.
-        results: the same tests episode by episode, as far as the run folder has them. They add how many episodes end
-            within some distances of the goal.
-        title: of the table.
+    Tests whose episodes are known show how many end within some distances of the goal.
     """
-    from ..records.results import WITHIN  # noqa: PLC0415  (numpy)
+    from ..records.evaluation import WITHIN  # noqa: PLC0415  (pydantic)
 
-    near = {
-        result.steps: " / ".join(f"{result.within(metres):.2f}" for metres in WITHIN)
-        for result in results
-        if result.distances
-    }
-    columns: Columns[TestCounts] = {
+    def near(test: Evaluation) -> str:
+        return " / ".join(f"{test.within(metres):.2f}" for metres in WITHIN) if test.distances else "-"
+
+    columns: Columns[Evaluation] = {
+        "policy": lambda test: test.checkpoint or "",
         "steps": lambda test: count(test.steps),
         "time": lambda test: duration(test.seconds),
         "success end": lambda test: success(test.success_end, test.episodes),
@@ -229,53 +259,44 @@ def table_of_tests(tests: Iterable[TestCounts], results: Iterable[TestResult] = 
         "return": lambda test: number(test.mean_return),
         "episodes": lambda test: count(test.episodes),
         "solved at reset": lambda test: count(test.solved_at_reset),
-        f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m": lambda test: near.get(test.steps, "-"),
+        f"end within {' / '.join(f'{metres:.2f}' for metres in WITHIN)} m": near,
     }
     return Table.of(list(tests), columns, title)
 
 
-def table_of_final(final: FinalTest, *, title: str = "") -> Table:
-    """One row per policy of a final test, with the columns of `table_of_tests`."""
-    from ..records.results import TestCounts  # noqa: PLC0415  (numpy)
-
-    policies = {"last": final.last, "best": final.best}
-    tested = {name: result for name, result in policies.items() if result is not None}
-    table = table_of_tests(map(TestCounts.of, tested.values()), tested.values())
-    rows = [(name, *row) for name, row in zip(tested, table.rows, strict=True)]
-    return Table(["policy", *table.columns], rows, title)
-
-
-def measures_table(measures: Mapping[str, MeasureValues], title: str) -> Table:
+def measures_table(measures: Mapping[str, Measured], title: str = "") -> Table:
     """One row per measure of a test: over the episodes in which it is defined."""
 
-    def row(name: str, one: MeasureValues) -> tuple[str, ...]:
-        known = [value for value in one["values"] if value is not None]
+    def row(name: str, one: Measured) -> tuple[str, ...]:
+        values = one.get("values", ())
+        known = [value for value in values if value is not None]
         worst = max if one["better"] == "smaller" else min
-        found = (
-            (f"{each:.{decimals(each)}f}" for each in (fmean(known), median(known), worst(known))) if known else "---"
-        )
-        return (heading(name, one), *found, f"{len(known)} of {len(one['values'])}")
+        found = [fmean(known), median(known), worst(known)] if known else []
+        shown = (f"{each:.{decimals(each)}f}" for each in found) if found else "---"
+        return (heading(name, one), *shown, f"{len(known)} of {len(values)}")
 
     rows = [row(name, one) for name, one in measures.items()]
     return Table(["measure", "mean", "median", "worst", "episodes"], rows, title)
 
 
-def transfers_table(transfers: Iterable[TransferResult], *, title: str = "") -> Table:
+def transfers_table(transfers: Iterable[Evaluation], *, title: str = "") -> Table:
     """One row per test under changed settings. Unchanged: this policy and these episodes in its own environment."""
-    from ..records.results import TestCounts  # noqa: PLC0415  (numpy)
 
-    columns: Columns[TransferResult] = {
+    def own(cell: Callable[[Evaluation], str]) -> Callable[[Evaluation], str]:
+        return lambda one: cell(one.own) if one.own else "-"
+
+    columns: Columns[Evaluation] = {
         "changed": lambda one: ", ".join([*one.overrides, *(["randomized"] * one.randomized)]) or "nothing",
-        "checkpoint": lambda one: f"{one.checkpoint} ({one.result.steps:,} steps)",
-        "success end": lambda one: success(TestCounts.of(one.result).success_end, one.result.episodes),
-        "success any": lambda one: success(TestCounts.of(one.result).success_any, one.result.episodes),
-        "unchanged end": lambda one: success(one.own.success_end, one.own.episodes),
-        "unchanged any": lambda one: number(one.own.success_any),
-        "return": lambda one: number(one.result.mean_return),
-        "unchanged return": lambda one: number(one.own.mean_return),
-        "episodes": lambda one: count(one.result.episodes),
+        "checkpoint": lambda one: f"{one.checkpoint} ({one.steps:,} steps)",
+        "success end": lambda one: success(one.success_end, one.episodes),
+        "success any": lambda one: success(one.success_any, one.episodes),
+        "unchanged end": own(lambda one: success(one.success_end, one.episodes)),
+        "unchanged any": own(lambda one: number(one.success_any)),
+        "return": lambda one: number(one.mean_return),
+        "unchanged return": own(lambda one: number(one.mean_return)),
+        "episodes": lambda one: count(one.episodes),
         "seed": lambda one: str(one.seed),
-        "when": lambda one: one.time[:16].replace("T", " "),
+        "when": lambda one: str(one.time)[:16].replace("T", " "),
     }
     return Table.of(list(transfers), columns, title)
 
@@ -290,3 +311,189 @@ def settings_table(spec: Mapping[str, Any], title: str) -> Table:
     from ..records import run_records  # noqa: PLC0415  (yaml, which `karolos --help` can do without)
 
     return facts_table({path: setting(value) for path, value in run_records.flatten(spec)}, title=title)
+
+
+def verdict(comparison: Comparison) -> str:
+    """What the comparison says, in a few sentences: the best, and who differs from the first contender."""
+    what = {"any": "success at any step", "end": "success at the end", "return": "return"}[comparison.metric]
+    found = [{"any": one.any, "end": one.end, "return": one.returns}[comparison.metric] for one in comparison.scores]
+    first, *others = comparison.labels
+    if not others:
+        seeds = len(comparison.contenders[0].runs)
+        return f"{first}: {what} {estimate(found[0])} over {seeds} seed{'s' if seeds > 1 else ''}."
+    pairs = zip(found, comparison.labels, strict=True)
+    known = [(one, label) for one, label in pairs if one is not None and not math.isnan(one.value)]
+    groups: dict[str, list[str]] = {"better": [], "worse": [], "alike": [], "few": [], "unknown": []}
+    for label, scores in zip(others, comparison.scores[1:], strict=True):
+        groups[against_first(scores.improvement)].append(label)
+    listed = {key: ", ".join(labels) for key, labels in groups.items() if labels}
+    sentences = {
+        "better": f"Better than {first}: {{}}.",
+        "worse": f"Worse than {first}: {{}}.",
+        "alike": f"No difference from {first} is shown: {{}}.",
+        "few": f"Too few seeds to tell from {first} (5 of each are needed): {{}}.",
+        "unknown": f"Unknown beside {first}, because a return is not finite: {{}}.",
+    }
+    said = [sentences[key].format(labels) for key, labels in listed.items()]
+    if known:
+        best, label = max(known, key=lambda one: one[0].value)
+        said.insert(0, f"Highest mean of {what}: {label}, {estimate(best)}.")
+    return " ".join(said)
+
+
+def against_first(improvement: Estimate | None) -> str:
+    """Key of the group of a contender in the verdict."""
+    if improvement is None or math.isnan(improvement.value):
+        return "unknown"
+    if improvement.kind == "none":
+        return "few"
+    return "better" if improvement.low > 0.5 else "worse" if improvement.high < 0.5 else "alike"
+
+
+def scores_table(comparison: Comparison) -> Table:
+    """One row per number that a contender has, one column per contender."""
+    contenders, metric = comparison.contenders, comparison.metric
+    success: Columns[Scores] = {
+        "success end": lambda one: estimate(one.end),
+        "success any": lambda one: estimate(one.any),
+    }
+    returns: Columns[Scores] = {"return": lambda one: estimate(one.returns)}
+    cells = returns | success if metric == "return" else success | returns
+    cells[f"inter-quartile mean, {metric}"] = lambda one: estimate(one.iqm)
+    if metric == "return":
+        cells["best, return"] = lambda one: estimate(one.best_return)
+    else:
+        cells["best, end"] = lambda one: estimate(one.best_end)
+    cells[f"better than {contenders[0].label}"] = lambda one: estimate(one.improvement, 2)
+    for place, reaching in enumerate(comparison.scores[0].reaching):
+        for unit, name in (("steps", "steps"), ("seconds", "time")):
+            cells[f"{name} to {reaching.ratio * 100:g} %, {metric}"] = partial(_reached, place, unit)
+    cells |= {
+        "density over seeds": _density,
+        "steps of a run": lambda one: count(one.steps),
+        "time of a run": lambda one: duration(one.seconds),
+        "updates per second": lambda one: count(one.updates_per_second),
+    }
+    rows = [
+        ("experiment", *(contender.experiment[:12] for contender in contenders)),
+        ("seeds", *(str(len(contender.runs)) for contender in contenders)),
+        *((name, *map(cell, comparison.scores)) for name, cell in cells.items()),
+    ]
+    return Table(["", *comparison.labels], [row for row in rows if set(row[1:]) != {"-"}])
+
+
+def compared_measures_table(comparison: Comparison) -> Table:
+    """One row per measure, one column per contender."""
+    rows = []
+    for name, one in comparison.measures.items():
+        found = [scores.measures.get(name) for scores in comparison.scores]
+        if any(found):
+            rows.append((heading(name, one), *(estimate(each, decimals(each.value) if each else 0) for each in found)))
+    return Table(["", *comparison.labels], rows, "measures")
+
+
+def parameters_table(comparison: Comparison) -> Table:
+    """The settings that differ, one column per contender."""
+    from ..comparison.differences import MISSING  # noqa: PLC0415  (yaml, which `karolos --help` can do without)
+
+    rows = [
+        (path, *("-" if value is MISSING else setting(value) for value in values))
+        for path, values in comparison.parameters.items()
+    ]
+    return Table(["setting", *comparison.labels], rows, "settings that differ")
+
+
+def comparison_file(comparison: Comparison, suffix: str) -> str:
+    """The numbers for a file .csv, one row per contender with the fields of `rows`; or for .tex, as in the tables."""
+    from ..records.run_records import flatten  # noqa: PLC0415  (pydantic)
+
+    if suffix == ".csv":
+        return csv_text([dict(flatten(row)) for row in comparison.rows()])
+    scores = scores_table(comparison)
+    experiments = [f"{one.label}: experiment {one.experiment}" for one in comparison.contenders]
+    notes = ["needs \\usepackage{booktabs}", *experiments, *explanations(comparison)]
+    return latex([replace(scores, rows=scores.rows[1:]), compared_measures_table(comparison)], notes)
+
+
+def differences_table(rows: Sequence[Mapping[str, Any]], a: str, b: str) -> Table:
+    """What differs in what two runs were made from: the rows of `compare_sides`."""
+    sides = [["-" if one["missing"] == side else setting(one[side]) for side in "ab"] for one in rows]
+    return Table(["", a, b], [(f"{one['part']}: {one['key']}", *each) for one, each in zip(rows, sides, strict=True)])
+
+
+def explanations(comparison: Comparison) -> list[str]:
+    """What the signs in the scores mean, as far as they occur."""
+    scores = comparison.scores
+    final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
+    what = "success and return are those" if any(one.end for one in scores) else "the return is that"
+    lines = [f"{what} of {_reported_test(final)}; the unit is the seed"]
+    if comparison.at is not None:
+        lines.append(f"the runs are compared as they were at their tests nearest to {comparison.at:,} steps")
+    if any(one.best_end or one.best_return for one in scores):
+        lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
+    if comparison.measures:
+        lines.append(
+            "measures: mean over the episodes of that test in which it is defined; the smaller the better, if nothing "
+            "else is said; - if no episode of some run defines it"
+        )
+    lines += interval_notes(found for one in scores for found in (one.any, one.returns))
+    if comparison.metric == "return":
+        lines.append("steps and time to a threshold and densities over seeds exist for success only")
+    else:
+        lines.append(
+            f"steps and time to: median over seeds of the first test with that success ({comparison.metric}); "
+            "(k of n) reached it; - if half of the seeds or more did not"
+        )
+    if len(scores) > 1:
+        lines.append("better than: probability that a run is better than one of the first contender; .5: no difference")
+    if any(one.density for one in scores):
+        lines.append("density over seeds: its modes, and the range of 5 to 95 % of its mass")
+    return lines
+
+
+def _reported_test(final: Sequence[bool]) -> str:
+    if all(final):
+        return "the last policy in the final test, on episodes that nothing was chosen on"
+    return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
+
+
+def interval_notes(found: Iterable[Estimate | None]) -> list[str]:
+    """What the brackets of some estimates mean."""
+    kinds = {one.kind for one in found if one is not None}
+    return [text for kind, text in _INTERVALS.items() if kind in kinds]
+
+
+def estimate(found: Estimate | None, digits: int = 3) -> str:
+    """A number with its interval, whose brackets tell its kind; - for None."""
+    if found is None:
+        return "-"
+    value, low, high = (decimal(number, digits) for number in (found.value, found.low, found.high))
+    if found.kind == "none":
+        return value
+    if found.kind == "range":
+        return f"{value} ({low} to {high})"
+    return f"{value} {'~' if found.kind == 'approximate' else ''}[{low}, {high}]"
+
+
+def decimal(number: float, digits: int = 3) -> str:
+    """A number with this many decimals; \N{INFINITY} for inf."""
+    return "\N{INFINITY}" if number == math.inf else f"{number:.{digits}f}"
+
+
+def reached(found: Reaching | None, unit: str = "steps") -> str:
+    """Median steps or seconds to a threshold, and how many runs reached it; - for None."""
+    if found is None:
+        return "-"
+    median = count(found.steps) if unit == "steps" else duration(found.seconds)
+    return f"{median} ({found.reached} of {found.seeds})"
+
+
+def _reached(place: int, unit: str, scores: Scores) -> str:
+    return reached(scores.reaching[place], unit)
+
+
+def _density(scores: Scores) -> str:
+    found = scores.density
+    if found is None:
+        return "-"
+    return f"{' and '.join(f'{mode:.2f}' for mode in found.modes)}; {found.low:.2f} - {found.high:.2f}"

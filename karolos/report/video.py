@@ -53,7 +53,7 @@ def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed
 
 
 def pictures_per_second(environment: Environment) -> float:
-    """Of a film in real time: the control rate, or its first multiple from `RATE` on."""
+    """Frame rate of a film in real time: the control rate, or its first multiple from `RATE` on."""
     return environment.rate * ceil(RATE / environment.rate - 1e-9)
 
 
@@ -92,9 +92,7 @@ def write_film(path: Path, moments: Iterable[Moment], environment: Environment, 
 def write_video(path: Path, pictures: Iterable[NDArray[np.uint8]], frames_per_second: float) -> None:
     """Write pictures (height, width, 3) to an .mp4 or .gif, whole or not at all.
 
-    Raises:
-        UsageError: the format cannot be written, or the folder is missing.
-        MachineError: the file cannot be written.
+    Raises UsageError if the format cannot be written or the folder is missing, MachineError if the file cannot.
     """
     import imageio  # noqa: PLC0415  (takes 0.2 s)
 

@@ -1,23 +1,28 @@
-"""Experiments with their runs, page by page: without a filter all columns of one page only are read."""
+"""Experiments with their runs: pages of them, their curves, and the densities of their success ratios.
+
+Without a filter all columns of one page only are read.
+"""
 
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from math import inf
 from statistics import fmean
 from typing import Any, NamedTuple
 
+import numpy as np
 from sqlalchemy import select
 
-from ..errors import UsageError
+from ..errors import StoreError, UsageError
 from ..records.run_records import RunSummary
 from ..registry import alternatives
-from .database import Database
-from .runs import matching_runs, summaries
-from .tables import RUNS, SPECS, TESTS, TRIALS
+from ..statistics.density import Density, kde
+from .store import Store, summaries
+from .tables import RUNS, SPECS, SUCCESSES, TESTS, put
 
 ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
 """What experiments can be sorted by: means over their finished runs, and when the newest run was created."""
@@ -43,7 +48,7 @@ class CurvePoint(NamedTuple):
 
 
 def find_experiments(
-    database: Database,
+    store: Store,
     where: str | None = None,
     *,
     trials: bool = False,
@@ -54,8 +59,8 @@ def find_experiments(
     """A page of the experiments that have runs which match a filter, sorted.
 
     Args:
-        database: the index.
-        where: a filter, as for `find_runs`.
+        store: the index.
+        where: a filter, as for `Store.runs`.
         trials: whether runs of sweeps' trials count.
         order: one of ORDERS. Experiments without a value come last.
         offset: experiments before the page.
@@ -66,13 +71,13 @@ def find_experiments(
     """
     if order not in ORDERS:
         raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
-    kept = None if where is None else matching_runs(database, where)
+    kept = None if where is None else store.matching(where)
     query = select(*{RUNS.c[name] for name in ("run", "experiment", "state", order)})
     query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
     if not trials:
-        query = query.where(RUNS.c.name.not_in(select(TRIALS.c.name)))
+        query = query.where(~RUNS.c.trial)
     matching: dict[str, list[tuple[str, bool, Any]]] = defaultdict(list)
-    with database.reading() as connection:
+    with store.reading() as connection:
         for row in connection.execute(query):
             if kept is None or row.run in kept:
                 matching[row.experiment].append((row.run, row.state == "finished", getattr(row, order)))
@@ -80,29 +85,29 @@ def find_experiments(
         chosen = islice(sorted(matching, key=ranks.__getitem__), offset, offset + limit)
         wanted = {run: experiment for experiment in chosen for run, *_ in matching[experiment]}
         newest = select(RUNS).where(RUNS.c.run.in_(wanted)).order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
-        found = summaries(connection, newest, database.home)
+        found = summaries(connection, newest, store.home)
     groups: dict[str, list[RunSummary]] = {experiment: [] for experiment in wanted.values()}
     for run in found:
         groups[wanted[run.run]].append(run)
     return ExperimentPage(tuple(map(tuple, filter(None, groups.values()))), len(matching))
 
 
-def curves(database: Database, runs: Sequence[str]) -> dict[str, list[CurvePoint]]:
+def curves(store: Store, runs: Sequence[str]) -> dict[str, list[CurvePoint]]:
     """The tests of some runs in the order of their steps, without their measures."""
     columns = TESTS.c
     query = select(columns.run, columns.steps, columns.successes_end, columns.episodes, columns.mean_return)
     found: dict[str, list[CurvePoint]] = defaultdict(list)
-    for run, steps, successes, episodes, mean in database.fetch(
+    for run, steps, successes, episodes, mean in store.fetch(
         query.where(columns.run.in_(runs)).order_by(columns.run, columns.steps)
     ):
         found[run].append(CurvePoint(steps, None if successes is None or not episodes else successes / episodes, mean))
     return dict(found)
 
 
-def steps_asked(database: Database, runs: Sequence[str]) -> dict[str, int]:
+def steps_asked(store: Store, runs: Sequence[str]) -> dict[str, int]:
     """The environment steps that the specs of some runs ask for."""
     query = select(RUNS.c.run, SPECS.c.content).join(SPECS).where(RUNS.c.run.in_(runs))
-    asked = {run: (spec.get("training") or {}).get("steps") for run, spec in database.fetch(query)}
+    asked = {run: (spec.get("training") or {}).get("steps") for run, spec in store.fetch(query)}
     return {run: steps for run, steps in asked.items() if isinstance(steps, int) and steps > 0}
 
 
@@ -121,3 +126,44 @@ def _rank(values: Sequence[Any], order: str) -> Any:
     if not known:
         return inf
     return fmean(known) if order in SMALLEST_FIRST else -fmean(known)
+
+
+def success_densities(
+    store: Store | None,
+    experiment: str,
+    counting: str,
+    ratios: Mapping[float, Sequence[float]],
+    *,
+    reported: bool = False,
+) -> tuple[Density, ...]:
+    """The density of the success ratios at each step; the database keeps what it does not have yet.
+
+    A stored density is used if it is of the same ratios. A database that cannot be written changes no number.
+
+    Args:
+        store: None computes every density.
+        experiment: hash.
+        counting: any or end.
+        ratios: environment steps of training -> success ratio of each run.
+        reported: whether these are the ratios that the runs report, not those of a test on the way.
+    """
+    key = {"experiment": experiment, "counting": counting, "reported": reported}
+    query = select(SUCCESSES).where(*(SUCCESSES.c[name] == value for name, value in key.items()))
+    stored = {} if store is None else {row.steps: row for row in store.fetch(query)}
+    found, new = [], []
+    for steps, values in ratios.items():
+        row = stored.get(steps)
+        if row is not None and row.ratios == list(values):
+            numbers = {name: getattr(row, name) for name in ("bandwidth", "mode", "mean", "low", "high")}
+            heights = np.array(row.density)
+            grid = np.linspace(0, 1, heights.size)
+            found.append(Density(grid=grid, density=heights, modes=tuple(row.modes), **numbers))
+            continue
+        found.append(kde(values))
+        lists = {"density": found[-1].density.tolist(), "modes": list(found[-1].modes), "ratios": list(values)}
+        numbers = {name: value for name, value in vars(found[-1]).items() if name != "grid"}
+        new.append(numbers | lists | key | {"steps": steps, "runs": len(values)})
+    if store is not None and new:
+        with suppress(StoreError), store.writing() as connection:
+            put(connection, SUCCESSES, new)
+    return tuple(found)

@@ -76,12 +76,7 @@ class Filter:
                         raise _error(what, literal.column, f"e.g. {comparison.key}>1000")
 
     def refuse_unknown(self, known: Callable[[str], bool], closest: Callable[[str], str | None]) -> None:
-        """Raise a UsageError at the first unknown key, or at a state that does not exist.
-
-        Args:
-            known: whether a key is known.
-            closest: the known key that is most like a key, if any.
-        """
+        """Raise a UsageError at the first key that is not `known`, with the `closest`, or at an unknown state."""
         for comparison in self.comparisons:
             if not known(comparison.key):
                 like = closest(comparison.key)

@@ -1,44 +1,40 @@
-"""Rebuilding the index from the folders of runs and sweeps, which are the truth, and comparing it with them."""
+"""Rebuilding the index from the run folders, which are the truth, and comparing it with them."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from sqlalchemy import text
 
 from ..errors import RunError, UsageError
 from ..records import RunFolder, paths
 from ..records.run_folder import remove_lost_leftovers
-from ..records.run_records import RunRecord
-from ..records.sweep_records import FOLDER, SweepRecord, is_running, read_sweep, sweep_paths
+from ..records.run_records import RunRecord, without_seeds
+from ..records.sweep_records import sweeps
 from .database import RefusedValueError
-from .rows import without_seeds
 from .store import Store
 
 _RUNS_TOGETHER = 100
 """Runs of a transaction or a query."""
-_Record = TypeVar("_Record", RunRecord, SweepRecord)
 
 
 @dataclass(frozen=True)
 class Reindexed:
-    """Numbers of runs and sweeps that were entered and forgotten (folder gone), and one line per damaged file."""
+    """Numbers of runs that were entered and forgotten (folder gone), and one line per damaged file."""
 
     runs: int
     forgotten: int
     problems: tuple[str, ...]
-    sweeps: int
-    forgotten_sweeps: int
 
 
 @dataclass(frozen=True)
 class Difference:
-    """A difference or damage of a run or a sweep, by its id; `run` is None for the database itself."""
+    """A difference or damage of a run; `run` is None for the database itself, and for sweeps."""
 
     run: str | None
     what: str
@@ -75,7 +71,7 @@ def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | N
     url = database or Store.default_url(root)
     if Store.exists(url):
         return Store(url), None
-    if not any(root.glob("*/run.json")) and not any(root.glob("sweeps/*/sweep.json")):
+    if not any(root.glob("*/run.json")):
         return None, None
     store = Store(url)
     return store, reindex(store, root)
@@ -96,30 +92,17 @@ def reindex(store: Store, runs: str | Path) -> Reindexed:
         problems += (problem for found in group for problem in found.problems)
         known.update(found.run for found in group if found.run is not None)
         records = [found.record for found in group if found.record is not None]
-        refused += _enter(store.add_records, records)
+        refused += _enter(store, records)
         _catch_up(store, records)
-    gone = _gone_runs(store, root, known)
+    gone = _gone(store, root, known)
     store.remove_runs(gone)
-    sweeps, damaged = _read_sweeps(root)
-    refused_sweeps = _enter(store.sweeps.add, sweeps)
-    lost = _gone_sweeps(store, root, sweeps)
-    store.sweeps.remove(lost)
-    return Reindexed(
-        runs=len(known) - len(refused),
-        forgotten=len(gone),
-        problems=(*problems, *refused, *damaged, *refused_sweeps),
-        sweeps=len(sweeps) - len(refused_sweeps),
-        forgotten_sweeps=len(lost),
-    )
+    return Reindexed(len(known) - len(refused), len(gone), (*problems, *refused, *sweeps(root)[1]))
 
 
 def check(store: Store, runs: str | Path) -> Iterator[Difference]:
-    """Compare the index with the folders in `runs`, run by run and sweep by sweep; nothing is changed.
+    """Compare the index with the folders in `runs`, run by run; nothing is changed. Damaged sweeps are named, too.
 
-    A run or sweep that a process is working on is skipped, because it changes meanwhile.
-
-    Raises:
-        StoreError: the database cannot be read.
+    A run that a process is working on is skipped, because it changes meanwhile. Raises StoreError.
     """
     yield from _integrity(store)
     root = Path(runs).resolve()
@@ -131,14 +114,8 @@ def check(store: Store, runs: str | Path) -> Iterator[Difference]:
         entered = {one.summary.run: _facts(one) for one in store.records(store.runs(ids=list(recorded)))}
         for run, facts in recorded.items():
             yield from _differences(run, facts, entered.get(run))
-    sweeps, problems = _read_sweeps(root)
-    stored = {record.sweep: vars(record) for record in store.sweeps.all()}
-    yield from (Difference(None, f"a sweep's folder: {problem}") for problem in problems)
-    for record in sweeps:
-        if not is_running(Path(record.folder)):
-            yield from _differences(record.sweep, vars(record), stored.get(record.sweep))
-    for gone in (*_gone_runs(store, root, known), *_gone_sweeps(store, root, sweeps)):
-        yield Difference(gone, "it is in the database, and its folder is gone")
+    yield from (Difference(None, f"a sweep's folder: {problem}") for problem in sweeps(root)[1])
+    yield from (Difference(run, "it is in the database, and its folder is gone") for run in _gone(store, root, known))
 
 
 def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
@@ -170,49 +147,20 @@ def _read(path: Path, locked: bool) -> _FoundFolder:
     return _FoundFolder(path.name, folder.id, record, tuple(f"{path.name}: {problem}" for problem in record.problems))
 
 
-def _read_sweeps(root: Path) -> tuple[tuple[SweepRecord, ...], tuple[str, ...]]:
-    """The sweeps in a runs folder by folder name, each once, and one line per damaged file."""
-    found: dict[str, SweepRecord] = {}
-    problems: list[str] = []
-    for path in sweep_paths(root):
-        try:
-            record, damaged = read_sweep(path)
-        except RunError as error:
-            problems.append(str(error))
-            continue
-        problems += damaged
-        known = found.setdefault(record.sweep, record)
-        if known is not record:
-            other = Path(known.folder).name
-            problems.append(f"{path.name}: says that it is the sweep {record.sweep}, as {other} does; left out")
-    return tuple(found.values()), tuple(problems)
-
-
-def _gone_runs(store: Store, root: Path, known: set[str]) -> list[str]:
+def _gone(store: Store, root: Path, known: set[str]) -> list[str]:
     """The runs of the index that were in the runs folder and are no longer there."""
-    return [run.run for run in store.runs() if run.run not in known and _is_gone(run.folder, root)]
+    lost = ((run.run, Path(run.folder)) for run in store.runs() if run.run not in known)
+    return [run for run, folder in lost if folder.parent == root and not folder.exists()]
 
 
-def _gone_sweeps(store: Store, root: Path, sweeps: Sequence[SweepRecord]) -> list[str]:
-    known = {record.sweep for record in sweeps}
-    return [one.sweep for one in store.sweeps.all() if one.sweep not in known and _is_gone(one.folder, root / FOLDER)]
-
-
-def _is_gone(folder: str, home: Path) -> bool:
-    """Whether a folder that stood in `home` does not exist any more."""
-    path = Path(folder)
-    return path.parent == home and not path.exists()
-
-
-def _enter(add: Callable[[Sequence[_Record]], None], records: Sequence[_Record]) -> list[str]:
-    """Enter runs or sweeps together, or one by one if the database refuses a value; returns one line per refusal."""
+def _enter(store: Store, records: Sequence[RunRecord]) -> list[str]:
+    """Enter runs together, or one by one if the database refuses a value; returns one line per refusal."""
     try:
-        add(records)
+        store.add_records(records)
     except RefusedValueError as error:
         if len(records) > 1:
-            return [problem for record in records for problem in _enter(add, [record])]
-        folder = records[0].summary.folder if isinstance(records[0], RunRecord) else records[0].folder
-        return [f"{Path(folder).name}: {error.what}; left out"]
+            return [problem for record in records for problem in _enter(store, [record])]
+        return [f"{Path(records[0].summary.folder).name}: {error.what}; left out"]
     return []
 
 
@@ -225,17 +173,17 @@ def _catch_up(store: Store, records: Sequence[RunRecord]) -> None:
             for new, old in zip(renewed, records, strict=True)
             if (new.summary.state, new.tests) != (old.summary.state, old.tests)
         ]
-        _enter(store.add_records, records)  # what it refuses now it has refused before
+        _enter(store, records)  # what it refuses now it has refused before
 
 
 def _facts(record: RunRecord) -> dict[str, Any]:
     """What folder and index have of a run."""
     lists = {"settings of its spec": without_seeds(record.spec), "versions of its software": record.versions}
-    return record.summary.row() | {"tests": record.tests} | lists
+    return record.summary.row() | {"commit": record.commit, "tests": record.tests} | lists
 
 
 def _differences(identity: str, recorded: Mapping[str, Any], entered: Mapping[str, Any] | None) -> Iterator[Difference]:
-    """How a run or a sweep in its folder differs from that in the database."""
+    """How a run in its folder differs from that in the database."""
     if entered is None:
         yield Difference(identity, "it has a folder, and is not in the database")
         return
@@ -247,9 +195,9 @@ def _differences(identity: str, recorded: Mapping[str, Any], entered: Mapping[st
 
 
 def _integrity(store: Store) -> Iterator[Difference]:
-    if store.database.url.get_backend_name() != "sqlite":
+    if store.url.get_backend_name() != "sqlite":
         return  # a server checks itself
-    problems = store.database.fetch(text("PRAGMA integrity_check(10)"))
-    broken = store.database.fetch(text("PRAGMA foreign_key_check"))
+    problems = store.fetch(text("PRAGMA integrity_check(10)"))
+    broken = store.fetch(text("PRAGMA foreign_key_check"))
     yield from (Difference(None, f"the database is damaged: {problem}") for (problem,) in problems if problem != "ok")
     yield from (Difference(None, f"a row of {row[0]} refers to a missing row of {row[2]}") for row in broken)

@@ -1,22 +1,32 @@
-"""The run that somebody means, own or shipped; and `karolos.runs`: recorded runs as rows and data frames."""
+"""The run that a selector means, own or shipped; and `karolos.runs`: recorded runs as rows and data frames."""
 
 from __future__ import annotations
 
+import os
+import re
 import warnings
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import Any
 
+import sqlalchemy
+
 from ..errors import NoSuchRunError, UsageError
 from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
+from ..records.sweep_records import BEST, best_name, read_sweep, sweep_folder
 from ..registry import closest
 from .folders import open_index
-from .rows import SUMMARY_FIELDS, means
-from .selectors import experiment_names, is_run_folder
 from .store import Store
+from .tables import RUNS, SUMMARY_FIELDS, means
+
+SHORTEST_HASH = 6
+"""Fewest digits that are taken for the beginning of a hash."""
+_LISTED = 5
+_LAST = re.compile(r"@last(?:-(\d{1,9}))?")
+_HASH = re.compile(rf"[0-9a-f]{{{SHORTEST_HASH},}}")
 
 
 class Records(tuple[RunSummary, ...]):
@@ -127,7 +137,7 @@ def _table(rows: list[dict[str, Any]]) -> Any:
 
 
 def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
-    """The one run that a selector means: a path, what `Store.find` takes, or the name of a shipped run.
+    """The one run that a selector means: a path, what `find` takes, or the name of a shipped run.
 
     A run of one's own with the name of a run that ships comes first, except with `shipped:NAME`. `runs` is named where
     there is no index.
@@ -141,9 +151,9 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
     if found := shipped_run(selector, store):
         return found.summary()
     try:
-        return existing(store, selector, runs).find(selector)
+        return find(existing(store, selector, runs), selector)
     except NoSuchRunError as error:
-        shipped, own = shipped_names(), experiment_names(store.database) if store else []
+        shipped, own = shipped_names(), experiment_names(store) if store else []
         asked = selector.startswith(SHIPPED)
         like = closest(selector.removeprefix(SHIPPED), shipped if asked else [*own, *shipped])
         if like not in shipped or (like in own and not asked):
@@ -173,3 +183,120 @@ def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
     if name not in shipped_names() or (name == selector and store and store.runs(name=name, limit=1)):
         return None
     return RunFolder.open(FOLDER / name)
+
+
+def select(store: Store, selector: str, *, or_trial: bool = False) -> tuple[RunSummary, ...]:
+    """The runs that a selector means, the newest first. The first rule that finds runs counts:
+
+    1. @last, the newest run; @last-2, the second before it
+    2. a run's id; or the path of its folder, which means no other run
+    3. the name of an experiment: all its runs
+    4. the beginning of an experiment's hash (6 digits or more): all its runs
+    5. the beginning of a run's id
+
+    A spec file means all runs of its experiment.
+
+    Args:
+        store: the index.
+        selector: the text.
+        or_trial: the name of a sweep's best spec, if no run has it, means the trial that the final phase chose.
+
+    Raises:
+        NoSuchRunError: it means no run, or a run folder that the index does not have.
+        RunError: it is a run folder that is damaged.
+        UsageError: it is the beginning of several ids or hashes.
+    """
+    last = _LAST.fullmatch(selector)
+    if last:
+        back = int(last[1] or 0)
+        newest = store.runs(limit=back + 1)
+        if not newest:
+            raise UsageError("there are no runs yet", hint="`karolos run SPEC` makes one")
+        if len(newest) <= back:
+            raise NoSuchRunError(f"{selector!r} means no run", hint=f"there are {len(newest)}, from @last on")
+        return newest[-1:]
+    if is_spec(selector):
+        from ..specification import load_spec  # noqa: PLC0415  (yaml)
+
+        found = store.runs(experiment=load_spec(Path(selector), ()).hash())
+        if not found:
+            raise UsageError(f"there are no runs of {selector}", hint=f"`karolos run {selector}` makes them")
+        return found
+    identity = Path(selector).name
+    if is_run_folder(selector) or os.path.dirname(selector):
+        if found := _at(store, Path(selector)):
+            return found
+    elif identity:
+        named = store.runs(ids=[identity]) or store.runs(name=selector)
+        if found := named or _of_best(store, selector, or_trial):
+            return found
+        if _HASH.fullmatch(selector) and (found := store.runs(experiment=selector)):
+            experiments = sorted({run.experiment for run in found})
+            if len(experiments) > 1:
+                shown = ", ".join(experiment[:12] for experiment in experiments[:_LISTED])
+                raise UsageError(f"{selector!r} begins several experiments", hint=f"add digits: {shown}")
+            return found
+        if found := store.runs(prefix=identity, limit=_LISTED + 1):
+            return (only(selector, found),)
+    like = closest(identity, ["@last", *experiment_names(store)])
+    hint = "`karolos runs list` shows them; @last is the newest"
+    raise NoSuchRunError(f"{selector!r} means no run", hint=f"did you mean {like!r}? {hint}" if like else hint)
+
+
+def experiment_names(store: Store) -> list[str]:
+    """The names of the runs' experiments, each once."""
+    return [row.name for row in store.fetch(sqlalchemy.select(RUNS.c.name).distinct())]
+
+
+def _of_best(store: Store, selector: str, or_trial: bool) -> tuple[RunSummary, ...]:
+    """The runs of the trial that a sweep chose, by its best spec's name; none if it is no such name.
+
+    Raises as `select`.
+    """
+    name = selector.removesuffix(best_name(""))
+    trials = store.runs(prefix=f"{name}-t", trials=True) if name != selector else ()
+    folder = next((folder for folder in map(sweep_folder, trials) if folder and folder.name == name), None)
+    if folder is None:
+        return ()
+    sweep, _ = read_sweep(folder)
+    if or_trial and sweep.final and sweep.best and (found := store.runs(name=sweep.best.name)):
+        return found
+    spec = os.path.join(sweep.folder, BEST)
+    if os.path.isfile(spec):
+        raise NoSuchRunError(f"{selector!r} means no run", hint=f"`karolos run {spec}` makes them")
+    return ()
+
+
+def _at(store: Store, path: Path) -> tuple[RunSummary, ...]:
+    """The run that the index has at a path; none if there is no run folder. Raises as `select`."""
+    there = is_run_folder(path)
+    identity = RunFolder.open(path).id if there else path.name
+    place = os.path.realpath(path)
+    found = tuple(run for run in store.runs(ids=[identity]) if os.path.realpath(run.folder) == place)
+    if there and not found:
+        hint = "name its runs folder with --runs; `karolos db reindex` enters its runs"
+        raise NoSuchRunError(f"the run folder {path} is not in the index", hint=hint)
+    return found
+
+
+def is_run_folder(selector: str | Path) -> bool:
+    """Whether a selector is the path of a run folder."""
+    return os.path.isfile(Path(selector) / "run.json")  # Path.is_file raises for a name that is too long
+
+
+def is_spec(selector: str) -> bool:
+    """Whether a selector is a spec file, or karolos:NAME."""
+    return selector.startswith("karolos:") or (selector.endswith((".yaml", ".yml")) and os.path.isfile(selector))
+
+
+def find(store: Store, selector: str) -> RunSummary:
+    """The one run of the index that a selector means. Raises as `select`, and UsageError if it means several."""
+    return only(selector, select(store, selector))
+
+
+def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:
+    """The one run that was found. Raises UsageError if there are several."""
+    if len(found) == 1:
+        return found[0]
+    listed = ", ".join(run.run for run in found[:_LISTED]) + (" ..." if len(found) > _LISTED else "")
+    raise UsageError(f"{selector!r} means several runs", hint=f"one of {listed}; or @last")

@@ -1,36 +1,44 @@
-"""Tables of the results database. Times are ISO 8601 text in UTC, which sorts like the time on every database.
+"""Tables of the results database, and their rows as frozen values.
+
+Times are ISO 8601 text in UTC, which sorts like the time on every database.
 
 The tables are plain: SQLAlchemy's mapper takes longer to import than most queries take.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import fields
+from importlib import import_module
+from pathlib import Path
 from types import NoneType
 from typing import Any, get_args, get_type_hints
 
-from sqlalchemy import JSON, BigInteger, Boolean, Column, Float, ForeignKey, Integer, MetaData, Table, Text
+from sqlalchemy import JSON, BigInteger, Boolean, Column, Connection, Float, ForeignKey, Integer, MetaData, Table, Text
 from sqlalchemy.types import TypeEngine
 
-from ..records.results import TestCounts
+from ..errors import StoreError
+from ..records.decode import from_json
+from ..records.evaluation import COUNTS, Evaluation, Measured
 from ..records.run_records import RunSummary
-from ..records.sweep_records import SweepRecord, SweepTrialState, Trial
 
-SCHEMA = 10
+SCHEMA = 11
 """Version of these tables, stored in `karolos_schema`. Raise it with every change of the tables.
 
 A database of another version is refused. The run folders are the truth: `karolos db upgrade` replaces older tables and
 enters what the folders hold.
 """
-OLDER_TABLES = ("experiments", "parameters", "versions", "tags")
-"""Tables of schema 7, which version 0.1 made, that this schema lacks."""
+OLDER_TABLES = ("experiments", "parameters", "versions", "tags", "trials", "sweeps")
+"""Tables of version 0.1 (schema 7) and 0.2 (schema 10) that this schema lacks."""
 TABLES = MetaData()
+SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: Boolean(),
     int: BigInteger(),
     float: Float(53),
     str: Text(),
-    SweepTrialState: Text(),
 }
 _INDEXED = ("experiment", "state", "name", "created")
 
@@ -44,22 +52,9 @@ def _part_of_key(name: str, kind: TypeEngine[Any] | ForeignKey) -> Column[Any]:
     return Column(name, kind, primary_key=True, autoincrement=False)
 
 
-def _owner(column: str) -> ForeignKey:
-    """The row that this row belongs to and is deleted with."""
-    return ForeignKey(column, ondelete="CASCADE")
-
-
-def _columns(kind: type, *, key: str, without: Collection[str] = ()) -> Iterator[Any]:
-    """A column for each field of a dataclass; lists and objects are JSON.
-
-    Args:
-        kind: the dataclass.
-        key: its field that is part of the primary key.
-        without: fields that have no column.
-    """
+def _columns(kind: type, *, key: str) -> Iterator[Any]:
+    """A column for each field of a dataclass; lists and objects are JSON. `key` is part of the primary key."""
     for name, hint in get_type_hints(kind).items():
-        if name in without:
-            continue
         options = get_args(hint)
         plain = options[0] if NoneType in options else hint
         stored = _TYPES.get(plain, JSON(none_as_null=True))
@@ -83,16 +78,25 @@ RUNS = Table(
     "runs",
     TABLES,
     *_columns(RunSummary, key="run"),
+    Column("commit", Text()),
+    Column("trial", Boolean(), nullable=False),
     Column("spec", ForeignKey("specs.digest"), nullable=False, index=True),
     Column("software", ForeignKey("software.digest"), nullable=False, index=True),
 )
-"""One spec, one seed: the fields of RunSummary. `folder` is relative to the database's own folder below it.
+"""One spec, one seed: the fields of RunSummary, the git commit, and whether it belongs to a trial of a sweep.
+
+`folder` is relative to the database's own folder below it.
 
 Runs of the same `experiment` belong together: their results may be pooled.
 """
 
-TESTS = Table("tests", TABLES, _part_of_key("run", _owner("runs.run")), *_columns(TestCounts, key="steps"))
-"""One test of a run: the fields of TestCounts. The run folder holds the test episode by episode."""
+TESTS = Table(
+    "tests",
+    TABLES,
+    _part_of_key("run", ForeignKey("runs.run", ondelete="CASCADE")),
+    *(column for column in _columns(Evaluation, key="steps") if column.name in COUNTS),
+)
+"""One test of a run: the numbers of an Evaluation. The run folder holds the test episode by episode."""
 
 SUCCESSES = Table(
     "success_summaries",
@@ -111,8 +115,48 @@ One row per step at which the runs were tested, and one `reported` row of the ra
 until a test or a run of the experiment is added or removed.
 """
 
-SWEEPS = Table("sweeps", TABLES, *_columns(SweepRecord, key="sweep", without=("trials",)))
-"""A search over the settings of a spec: the fields of SweepRecord. `folder` is stored as that of a run."""
 
-TRIALS = Table("trials", TABLES, _part_of_key("sweep", _owner("sweeps.sweep")), *_columns(Trial, key="number"))
-"""One trial of a sweep: the settings it drew, its runs (one per seed) and its objectives."""
+def as_stored(folder: str, home: Path | None) -> str:
+    """A folder as the index stores it: relative to the database's folder below it, so that both can move together."""
+    path = Path(folder)
+    return (path.relative_to(home) if home and path.is_relative_to(home) else path).as_posix()
+
+
+def folder_path(stored: str, home: Path | None) -> str:
+    """The path of a folder from what `as_stored` returned."""
+    return str((home or Path()) / stored)
+
+
+def summary_of(row: Any, home: Path | None) -> RunSummary:
+    """The run of a row of `runs`. Raises StoreError if the row is damaged."""
+    values = {name: getattr(row, name) for name in SUMMARY_FIELDS} | {"folder": folder_path(row.folder, home)}
+    if (summary := from_json(RunSummary, values)) is None:
+        raise StoreError(f"the row of the run {row.run} is damaged", hint="`karolos db reindex` enters it again")
+    return summary
+
+
+def means(measures: Mapping[str, Measured]) -> dict[str, float | None]:
+    """The means of measures by their keys in filters: measures.peak_force."""
+    return {f"measures.{name}": one["mean"] for name, one in measures.items()}
+
+
+def digest(value: Mapping[str, Any]) -> str:
+    """SHA-256 (hex) of the canonical text of a JSON object."""
+    return hashlib.sha256(json.dumps(value, sort_keys=True, separators=(",", ":")).encode()).hexdigest()
+
+
+def put(connection: Connection, table: Table, rows: Sequence[Mapping[str, Any]], *, replace_old: bool = True) -> None:
+    """Insert rows of the same columns, if there are any.
+
+    Where the primary key exists, the row is replaced, or left if not `replace_old`.
+    """
+    if not rows:
+        return
+    # Both dialects have the same methods; importing the other one would take longer than most queries.
+    dialect: Any = import_module(f"sqlalchemy.dialects.{connection.dialect.name}")
+    new, keys = dialect.insert(table), [column.name for column in table.primary_key]
+    rest = {name: new.excluded[name] for name in rows[0] if name not in keys}
+    statement = (
+        new.on_conflict_do_update(index_elements=keys, set_=rest) if replace_old else new.on_conflict_do_nothing()
+    )
+    connection.execute(statement, [dict(row) for row in rows])

@@ -20,8 +20,7 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 
-from ..errors import RunError, StoreError, UsageError
-from ..experiment.events import RunWarned
+from ..errors import RunError, UsageError
 from ..files import append_lines, locked, write_json, write_whole, writing
 from ..records.run_records import timestamp
 from ..records.sweep_records import (
@@ -36,7 +35,6 @@ from ..records.sweep_records import (
     read_sweep_description,
 )
 from ..specification import Spec, Sweep, load_spec, to_yaml
-from ..store import Store
 from .events import SweepListener
 from .objectives import directions
 from .study import Study
@@ -66,12 +64,10 @@ class SweepFolder:
         self.spec, self.asked = spec, asked
 
     @contextmanager
-    def claimed(self, store: Store, listener: SweepListener) -> Iterator[None]:
+    def claimed(self, listener: SweepListener) -> Iterator[None]:
         """Hold the sweep's lock. Its spec and description are written; `study` holds its trials.
 
-        Args:
-            store: gets what the folder gets.
-            listener: is told of warnings.
+        `listener` is told of warnings.
         """
         refusal = RunError("another process runs this sweep", where=str(self.path), hint="wait for it")
         with locked(self.path / LOCK, refusal, _SWEEP_LOCK_SECONDS):
@@ -79,19 +75,14 @@ class SweepFolder:
             sweep, journal = self._claim(), self.path / "journal.log"
             append_lines(journal, ())  # removes an incomplete last line of a killed process
             self.study = Study(journal, sweep, self.spec.name, self.spec.training.steps, self.directions)
-            self._store, self.listener = store, listener
+            self.listener = listener
             yield
 
     def write(self) -> SweepRecord:
-        """Write the trials, and return the sweep. A store that fails causes a warning and does not end the sweep."""
+        """Write the trials, and return the sweep."""
         trials = (json.dumps(one.row(), separators=(",", ":"), allow_nan=False) for one in self.study.trials())
         write_whole(self.path / TRIALS, "".join(f"{line}\n" for line in trials))
-        record, _ = read_sweep(self.path)
-        try:
-            self._store.sweeps.add([record])
-        except StoreError as error:
-            self.listener(RunWarned(record.sweep, f"{error} (the sweep continues; its folder is complete)"))
-        return record
+        return read_sweep(self.path)[0]
 
     def write_best(self, spec: Spec, comment: Iterable[str]) -> Path:
         """Write the spec below a comment on its origin."""

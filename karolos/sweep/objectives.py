@@ -12,7 +12,7 @@ import numpy as np
 
 from ..environments.build import opened
 from ..launchers.runs import RunJob
-from ..records.results import TestResult, measure_means
+from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..specification.sweep import MEASURES, Direction
 from ..specification.sweep import directions as directions_of
@@ -20,7 +20,7 @@ from ..statistics.reaching import first_reaching
 
 CENSORED_FACTOR = 2
 """Penalty factor on the steps of a run that never reached the threshold (PAR2)."""
-Tests = Mapping[int, Sequence[TestResult]]
+Tests = Mapping[int, Sequence[Evaluation]]
 """Seed -> its tests, in order."""
 
 
@@ -31,7 +31,7 @@ def directions(spec: Spec) -> tuple[Direction, ...]:
         return directions_of(spec.sweep.objectives, environment.signature.measures)
 
 
-def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, TestResult] = MappingProxyType({})) -> float:
+def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, Evaluation] = MappingProxyType({})) -> float:
     """The objective's value for finished runs of `steps` environment steps; nan without tests.
 
     `finals` holds, by seed, the policy `last` in the final test of the runs that have one.
@@ -46,21 +46,21 @@ def measure_all(objectives: Sequence[str], job: RunJob) -> tuple[float, ...]:
     return tuple(measure(name, job.results(), job.spec.training.steps, job.finals) for name in objectives)
 
 
-def _of_run(objective: str, tests: Sequence[TestResult], steps: int, final: TestResult | None) -> float:
+def _of_run(objective: str, tests: Sequence[Evaluation], steps: int, final: Evaluation | None) -> float:
     if objective.startswith("steps_to_"):
         threshold = int(objective.removeprefix("steps_to_")) / 100
-        reached = first_reaching([test.success_end for test in tests], [test.steps for test in tests], threshold)
+        reached = first_reaching([test.success_end or 0.0 for test in tests], [test.steps for test in tests], threshold)
         return CENSORED_FACTOR * steps if reached is None else reached
     if objective.startswith("mean_"):
         return float(np.mean([_of_test(objective.removeprefix("mean_"), test) for test in tests]))
     return _of_test(objective, final or tests[-1])
 
 
-def _of_test(name: str, test: TestResult) -> float:
+def _of_test(name: str, test: Evaluation) -> float:
     if name.startswith(MEASURES):
-        mean = measure_means(test.measures)[name.removeprefix(MEASURES)]["mean"]
+        mean = test.measures[name.removeprefix(MEASURES)]["mean"]
         return float("nan") if mean is None else mean
-    return test.mean_return if name == "return" else float(getattr(test, name))
+    return test.known_return if name == "return" else float(getattr(test, name) or 0.0)
 
 
 def so_far(objective: str, tests: Tests, count: int) -> float:

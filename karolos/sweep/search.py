@@ -99,7 +99,7 @@ class Search:
 
         with (
             Store(home.url) as store,
-            folder.claimed(store, listener),
+            folder.claimed(listener),
             driving(self.spec, jobs * len(self.sweep.seeds), warn, time_limit) as driver,
         ):
             before = folder.write()

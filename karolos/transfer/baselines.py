@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
 
 from ..core import Environment
 from ..environments.build import opened
 from ..errors import UsageError
-from ..evaluation.playing import Score, score
+from ..evaluation.playing import evaluate
 from ..evaluation.policies import Policy, expert_policy, random_policy
 from ..experiment.signals import StopRequest
 from ..files import append_lines, read_lines
 from ..records.decode import from_json
+from ..records.evaluation import Evaluation
 from ..specification import Spec
 
 BASELINE_EPISODES = 200
@@ -24,9 +25,9 @@ BASELINE_EPISODES = 200
 class Baselines:
     """Success on a variant without learning."""
 
-    floor: Score
+    floor: Evaluation
     """Of uniformly random actions."""
-    ceiling: Score | None
+    ceiling: Evaluation | None
     """Of the task's scripted expert; None without one."""
 
 
@@ -37,17 +38,16 @@ def measure_baselines(spec: Spec, path: Path, stop: StopRequest) -> Baselines:
     for row in read_lines(path).rows:
         if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:
             return known
-    floor = _score(spec, random_policy, episodes, stop)
+    floor = _evaluate(spec, random_policy, episodes, stop)
     try:
-        ceiling = _score(spec, lambda environment, _: expert_policy(environment), episodes, stop)
+        ceiling = _evaluate(spec, lambda environment, _: expert_policy(environment), episodes, stop)
     except UsageError:  # there is no expert
         ceiling = None
-    measured = Baselines(floor, ceiling)
-    append_lines(path, [key | asdict(measured)])
-    return measured
+    append_lines(path, [key | {"floor": floor.encode(), "ceiling": ceiling and ceiling.encode()}])
+    return Baselines(floor, ceiling)
 
 
-def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int, stop: StopRequest) -> Score:
+def _evaluate(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int, stop: StopRequest) -> Evaluation:
     """Success of a policy on the first episodes of the final test. Raises StopRequestedError."""
     seed = spec.testing.final_seed
     with opened(spec.recipe(randomize=False)) as environment:
@@ -57,4 +57,4 @@ def _score(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int
             stop.check()
             policy.begin()
 
-        return score(environment, Policy(policy.act, begin), episodes=episodes, seed=seed)
+        return evaluate(environment, Policy(policy.act, begin), episodes=episodes, seed=seed).counts

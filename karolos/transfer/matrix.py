@@ -16,7 +16,6 @@ from dataclasses import dataclass, field, replace
 from itertools import permutations
 from pathlib import Path
 
-from .. import checkpoint
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import signature_of
@@ -28,8 +27,8 @@ from ..experiment.start_from import check_agents, pinned
 from ..files import locked
 from ..launchers.driver import Driver, Feed, driving
 from ..launchers.runs import Home, RunJob
-from ..records import RunFolder, scan
-from ..records.transfer_results import TransferResult
+from ..records import RunFolder, checkpoint, scan
+from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict, spec_of_variant
 from ..training.assembly import check_parts, located
 from .baselines import Baselines, measure_baselines
@@ -53,7 +52,7 @@ class MatrixRuns:
     """Of the matrix."""
     sources: dict[str, dict[int, RunFolder]] = field(default_factory=dict)
     """Variant -> seed -> its run."""
-    zero_shot: dict[Pair, dict[int, TransferResult]] = field(default_factory=dict)
+    zero_shot: dict[Pair, dict[int, Evaluation]] = field(default_factory=dict)
     """Pair -> seed -> test of the source's policy on the target."""
     fine_tuned: dict[Pair, dict[int, RunFolder]] = field(default_factory=dict)
     """Pair -> seed -> its run."""
@@ -256,16 +255,16 @@ class Matrix:
                 tests[folder] = ZeroShotTest(
                     str(run.path.resolve()), CHECKPOINT, self.overrides[pair[1]], episodes, testing.final_seed
                 )
-        played: dict[Path, TransferResult] = {}
+        played: dict[Path, Evaluation] = {}
 
-        def heard(folder: Path, test: TransferResult | None, problem: str | None) -> None:
+        def heard(folder: Path, test: Evaluation | None, problem: str | None) -> None:
             (source, target), seed = cells[folder]
             cell = f"{source} to {target}, seed {seed}"
             if test is None:
                 found.problems.append(f"the test of {cell}: {problem}")
                 return
             played[folder] = test
-            say(f"{cell}: success end {test.result.success_end:.3f} of {test.result.episodes:,}")
+            say(f"{cell}: success end {test.success_end or 0:.3f} of {test.episodes:,}")
 
         driver.run(Feed(ZeroShotJob(tests, heard)))
         for folder, (pair, seed) in cells.items():  # in this order, whichever ended first

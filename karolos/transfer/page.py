@@ -7,13 +7,12 @@ from functools import partial
 from pathlib import Path
 from statistics import fmean
 
-from ..comparison import ComparedRun
 from ..files import write_whole
+from ..records.run_records import RunRecord
 from ..report.comparison_figures import heat_map, titled_curve
-from ..report.comparison_tables import estimate, interval_notes, reached
 from ..report.figures import Drawing, look, short, write_figures
 from ..report.page import Section, document
-from ..report.tables import Columns, Table, count, duration, success
+from ..report.tables import Columns, Table, count, duration, estimate, interval_notes, reached, success
 from .results import METRICS, Cell, Paired, TransferReport, Variant
 
 
@@ -129,7 +128,7 @@ def _runs_table(report: TransferReport) -> Table:
     return Table(["what", "seed", "success end", "steps", "run"], rows)
 
 
-def _run_cells(run: ComparedRun) -> tuple[str, str, str, str]:
+def _run_cells(run: RunRecord) -> tuple[str, str, str, str]:
     summary = run.summary
     return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
 

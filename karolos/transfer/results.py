@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import ComparedRun, Estimate, Reaching
-from ..comparison.contenders import Contender, load_compared
+from ..comparison.contenders import Contender
 from ..comparison.curves import places
-from ..comparison.scores import Comparison, compare, estimate, reaching
+from ..comparison.scores import Comparison, Estimate, Reaching, compare, estimate, reaching
 from ..core.seeding import SeedTree
-from ..evaluation.playing import Score
 from ..records import RunFolder
-from ..records.results import TestCounts
+from ..records.evaluation import Evaluation
+from ..records.run_records import RunRecord
 from ..statistics import aggregates, transfer
 from ..statistics.intervals import wilson
 from ..statistics.reaching import first_reaching
@@ -93,9 +92,9 @@ class Cell:
     """By their names in METRICS; those without the runs or tests that they need are missing."""
     reaching: Reaching | None
     """When fine-tuning reached the threshold."""
-    tests: Mapping[int, TestCounts]
+    tests: Mapping[int, Evaluation]
     """Seed -> zero-shot test."""
-    runs: Mapping[int, ComparedRun]
+    runs: Mapping[int, RunRecord]
     """Seed -> fine-tuned run."""
 
 
@@ -104,7 +103,7 @@ class Variant:
     """A source, which is also the training from scratch on a target."""
 
     label: str
-    runs: Mapping[int, ComparedRun]
+    runs: Mapping[int, RunRecord]
     """Seed -> finished run."""
     success: Estimate | None
     """After its own training."""
@@ -199,12 +198,9 @@ def transfer_report(found: MatrixRuns) -> TransferReport:
     untested: list[str] = []
     scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
     tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
-    tests = {
-        pair: {seed: TestCounts.of(test.result) for seed, test in each.items()}
-        for pair, each in found.zero_shot.items()
-    }
+    tests = {pair: dict(each) for pair, each in found.zero_shot.items()}
     for (source, _), each in found.zero_shot.items():  # the own test comes with any target's
-        tests.setdefault((source, source), {}).update({seed: test.own for seed, test in each.items()})
+        tests.setdefault((source, source), {}).update({seed: test.own for seed, test in each.items() if test.own})
     cells = []
     for source, target in product(scratch, repeat=2):
         pair, leaf = (source, target), tree.child(source, target)
@@ -240,18 +236,19 @@ def _mean(values: Sequence[float]) -> float:
     return float(np.mean(values)) if values else 0.0
 
 
-def _wilson(score: Score) -> Estimate:
-    return Estimate(score.success_end, score.low, score.high, "wilson")
+def _wilson(test: Evaluation) -> Estimate:
+    successes = test.successes_end or 0
+    return Estimate(successes / test.episodes, *wilson(successes, test.episodes), "wilson")
 
 
-def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, ComparedRun]:
+def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, RunRecord]:
     """The runs that have tests; notes the others."""
     tested = {seed: folder for seed, folder in runs.items() if folder.tests()}
     untested += (folder.id for seed, folder in runs.items() if seed not in tested)
-    return {seed: load_compared(folder.record()) for seed, folder in tested.items()}
+    return {seed: folder.record() for seed, folder in tested.items()}
 
 
-def _reported(runs: Mapping[int, ComparedRun], tree: SeedTree) -> Estimate | None:
+def _reported(runs: Mapping[int, RunRecord], tree: SeedTree) -> Estimate | None:
     """Success of the last policies."""
     if not runs:
         return None
@@ -260,7 +257,7 @@ def _reported(runs: Mapping[int, ComparedRun], tree: SeedTree) -> Estimate | Non
 
 
 def _zero_shot(
-    tests: Mapping[int, TestCounts], own: Mapping[int, TestCounts], tree: SeedTree
+    tests: Mapping[int, Evaluation], own: Mapping[int, Evaluation], tree: SeedTree
 ) -> dict[str, Estimate | None]:
     """The estimates of a cell from tests of the source's policies on the target, and on their own variant."""
     if not tests:
@@ -276,7 +273,7 @@ def _zero_shot(
 
 
 def _fine_tuned(
-    runs: Mapping[int, ComparedRun], scratch: Mapping[int, ComparedRun], threshold: float, tree: SeedTree
+    runs: Mapping[int, RunRecord], scratch: Mapping[int, RunRecord], threshold: float, tree: SeedTree
 ) -> dict[str, Estimate | None]:
     """The estimates of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
     reported = _reported(runs, tree.child("fine tuned"))
@@ -318,19 +315,19 @@ def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> N
     return aggregates.mean(values - baseline)
 
 
-def _time(run: ComparedRun, threshold: float) -> tuple[float, bool]:
+def _time(run: RunRecord, threshold: float) -> tuple[float, bool]:
     """Steps at which a run reached the threshold, or at which it ended without; and whether it did."""
     at = places(run, "steps").tolist()
     reached = first_reaching(run.values("end"), at, threshold)
     return (at[-1], False) if reached is None else (reached, True)
 
 
-def _reaching(found: Mapping[int, ComparedRun], threshold: float) -> Reaching | None:
+def _reaching(found: Mapping[int, RunRecord], threshold: float) -> Reaching | None:
     return reaching(list(found.values()), "end", threshold) if found else None
 
 
 def _learning(
-    target: str, scratch: Mapping[int, ComparedRun], tuned: Mapping[Pair, Mapping[int, ComparedRun]]
+    target: str, scratch: Mapping[int, RunRecord], tuned: Mapping[Pair, Mapping[int, RunRecord]]
 ) -> Comparison:
     """Training from scratch on a target, and fine-tuning there from each source."""
     contenders = [Contender(f"{target} from scratch", tuple(scratch.values()))]

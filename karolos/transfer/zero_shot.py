@@ -16,7 +16,7 @@ from ..files import write_json
 from ..launchers.driver import FolderTask, Job
 from ..launchers.interface import LAUNCH, STOP
 from ..records import provenance
-from ..records.transfer_results import TransferResult
+from ..records.evaluation import Evaluation
 
 
 @dataclass(eq=False)
@@ -29,7 +29,7 @@ class ZeroShotJob(Job):
     """
 
     tests: Mapping[Path, ZeroShotTest]
-    heard: Callable[[Path, TransferResult | None, str | None], None]
+    heard: Callable[[Path, Evaluation | None, str | None], None]
 
     @override
     def tasks(self) -> Iterator[FolderTask]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 from collections import OrderedDict
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
 from hashlib import sha256
 from pathlib import Path
@@ -19,14 +20,15 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from .. import checkpoint, files
-from ..comparison import compare, gather, labels_of
-from ..comparison.contenders import Contender, load_compared
+from .. import files
+from ..comparison import Contender, compare, gather
+from ..comparison.contenders import labels_of
 from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
-from ..records import RunFolder, labels, transfer_results
-from ..records.results import TestCounts, TestResult
+from ..records import RunFolder, checkpoint, labels
+from ..records.evaluation import Evaluation
 from ..records.run_records import UNFINISHED, RunRecord, RunSummary, flatten
 from ..records.sweep_records import FOLDER as SWEEPS
+from ..records.sweep_records import sweeps
 from ..report import page
 from ..report.comparison_figures import comparison_figures, learning
 from ..report.figures import short
@@ -34,18 +36,17 @@ from ..report.page import Section, comparison_sections
 from ..report.tables import (
     Table,
     count,
-    duration,
+    evaluations_table,
     heading,
     measures_table,
     number,
+    run_facts,
     run_state,
     setting,
-    table_of_final,
-    table_of_tests,
     transfers_table,
 )
 from ..store import Store, check
-from ..store.experiments import ORDERS
+from ..store.experiments import ORDERS, find_experiments
 from . import films
 from .rows import SIGNS, experiment_rows, sparkline
 
@@ -54,6 +55,8 @@ EXPERIMENTS, MOST_COMPARED, LISTED = 50, 12, 12
 """Experiments of a page and of a comparison; failures that are listed."""
 MOST_POSTED = 1 << 20
 """Bytes of a form: more than the longest note has."""
+SHOWN = ("run", "state", "experiment", "tags", "note", "versions")
+"""Facts of a run that do not stand in the list of facts on its page."""
 KEPT = 8
 """Drawn comparisons and runs that are kept."""
 REPORTS, WRITTEN = (SWEEPS, "suites", "transfers"), ("report.html", "figures/*.svg")
@@ -62,12 +65,7 @@ that a report's links to run folders lead to the pages of the runs."""
 
 
 class Application:
-    """The pages over one runs folder and its database.
-
-    Args:
-        runs: the runs folder.
-        store: its index.
-    """
+    """The pages over one runs folder and its index."""
 
     def __init__(self, runs: Path, store: Store) -> None:
         self._runs, self._store, self.films = runs, store, films.Films()
@@ -100,13 +98,13 @@ class Application:
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
         going = [(run.run, run.state, run.steps) for state in UNFINISHED for run in self._store.runs(state=state)]
-        seen = _digest(self._store.database.version(), going)
+        seen = _digest(self._store.version(), going)
         if asked.get("seen") == seen:
             return Response(status_code=204)
         shown: dict[str, Any] = {"problem": None, "rows": [], "total": 0}
         try:
             options: dict[str, Any] = {"trials": trials, "order": order, "offset": first, "limit": EXPERIMENTS}
-            found = self._store.experiments(where or None, **options)
+            found = find_experiments(self._store, where or None, **options)
             shown |= {"rows": experiment_rows(self._store, found.experiments), "total": found.total}
             shown["hidden"] = not (where or trials or found.total) and self._store.runs(limit=1, trials=True)
         except UsageError as error:
@@ -131,7 +129,7 @@ class Application:
         selected = [self._store.runs(experiment=experiment) for experiment in hashes]
         if not all(selected):
             raise NoSuchRunError("an experiment has no runs any more", hint="go back to the list")
-        key = ("comparison", tuple(hashes), self._store.database.version())
+        key = ("comparison", tuple(hashes), self._store.version())
 
         def draw() -> Any:
             contenders = [gather(self._store, *one) for one in zip(selected, labels_of(selected), strict=True)]
@@ -153,36 +151,34 @@ class Application:
         folder, record, broken = self._opened(summary.folder)
         record = record or self._store.records([summary])[0]
         about: Mapping[str, Any] = folder.description() if folder else {}
-        results, final = (folder.tests(), folder.final()) if folder else ((), None)
+        tests, final = (folder.tests(), folder.final()) if folder else (record.tests, {})
         events = folder.events() if folder else ()
-        transfers, unreadable = transfer_results.read(folder) if folder else ((), ())
+        transfers, unreadable = folder.transfers() if folder else ((), ())
 
         def draw() -> Any:
             if not record.tests:
                 return ""
-            comparison = compare([Contender(record.summary.name, (load_compared(record),))])
+            comparison = compare([Contender(record.summary.name, (record,))])
             drawings = [learning(comparison, "steps"), learning(comparison, "seconds")]
             return self._shown([Section(figures=drawings)], [])
 
         run, settings = record.summary, _settings(record.spec, about)
-        last = final.last if final else results[-1] if results else None
+        last = final.get("last", tests[-1] if folder and tests else None)
         failures = _episodes(last)[1] if last and last.has_success else None
-        tables = [table_of_tests(record.tests, results)] if record.tests else []
-        if final is not None:
-            tables.insert(0, table_of_final(final))
         return self._page(
             "run.html",
             run=run,
             state=run_state(run),
             sign=SIGNS.get(run.state),
-            facts=_facts(record, about),
+            facts={name: value for name, value in run_facts(run, about).items() if name not in SHOWN and value},
             problems=(*broken, *record.problems, *unreadable),
             live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
             shown=self._once(("run", run.run, tested), draw),
-            final=final and tables[0],
-            tests=tables[-1] if record.tests else None,
-            steps=[test.steps for test in record.tests],
-            measures=list(_measures(last, record.tests)) if last else [],
+            final=evaluations_table(final.values()) if final else None,
+            tests=evaluations_table(tests) if tests else None,
+            links=[f"/runs/{run.run}/tests/{test.steps}" for test in tests],
+            measures=measures_table(last.measures) if last and last.measures else None,
+            curves=[_curve(name, tests) for name in last.measures] if last else [],
             failures=failures,
             last=last,
             transfers=transfers_table(transfers) if transfers else None,
@@ -196,10 +192,7 @@ class Application:
     def test(self, request: Request) -> Response:
         """A test of a run, episode by episode."""
         folder, test = self._folder(request), request.path_params["test"]
-        final = folder.final()
-        known = {str(one.steps): one for one in folder.tests()}
-        if final is not None:
-            known |= {"last": final.last} | ({"best": final.best} if final.best else {})
+        known = {str(one.steps): one for one in folder.tests()} | folder.final()
         if test not in known:
             raise NoSuchRunError(f"{folder.id} has no test {test!r}", hint="its page lists its tests")
         table, failures = _episodes(known[test])
@@ -241,8 +234,8 @@ class Application:
 
     def reports(self, kind: str, _: Request) -> Response:
         """Sweeps, suites or matrices of transfers, with what they wrote."""
-        sweeps = [(sweep, sweep.state()) for sweep in self._store.sweeps.all()] if kind == SWEEPS else []
-        return self._page("reports.html", kind=kind, written=_written(self._runs / kind), sweeps=sweeps)
+        found = [(sweep, sweep.state()) for sweep in sweeps(self._runs)[0]] if kind == SWEEPS else []
+        return self._page("reports.html", kind=kind, written=_written(self._runs / kind), sweeps=found)
 
     def report(self, kind: str, request: Request) -> Response:
         """A page or figure that a sweep, suite or matrix wrote, which may run no script; the page with a way back."""
@@ -258,7 +251,7 @@ class Application:
     def folders(self, request: Request) -> Response:
         """How the run folders and the database differ: the lines of `karolos db check`."""
         found = list(check(self._store, self._runs)) if "check" in request.query_params else None
-        return self._page("folders.html", found=found, folder=self._runs, database=self._store.database.name)
+        return self._page("folders.html", found=found, folder=self._runs, database=self._store.name)
 
     def _explained(self, _: Request, error: Exception) -> Response:
         assert isinstance(error, KarolosError)  # the application registers it for these
@@ -276,7 +269,11 @@ class Application:
     def _shown(self, sections: list[Section], contenders: list[str]) -> Any:
         """Sections as markup."""
         parts: Any = self._templates.get_template("sections.html").module
-        return parts.show(sections, contenders, "/runs/")
+        shown = []
+        for section in sections:
+            runs = section.table.rows if section.table is not None and section.series else ()
+            shown.append(replace(section, links=[f"/runs/{run}" for run, *_ in runs]) if runs else section)
+        return parts.show(shown, contenders)
 
     def _once(self, key: object, draw: Callable[[], Any]) -> Any:
         """What was drawn for this key, or is drawn now. Meanwhile others draw what has other keys."""
@@ -315,24 +312,6 @@ class Application:
         return {kind: (path.is_file(), self.films.state(path)) for kind, path in paths.items()}
 
 
-def _facts(record: RunRecord, about: Mapping[str, Any]) -> dict[str, object]:
-    """What is known about a run besides its tests and settings."""
-    run, git = record.summary, about.get("git") or {}
-    solved = run.steps_to_95 and f"{run.steps_to_95:,} steps, {duration(run.seconds_to_95)}"
-    facts = {
-        "steps": count(run.steps),
-        "training": duration(run.seconds),
-        "from start to end": duration(run.total_seconds),
-        "to .95 success": solved,
-        "created": run.created[:19].replace("T", " "),
-        "attempt": run.attempt if run.attempt > 1 else None,
-        "command": " ".join(about.get("command") or ()),
-        "commit": f"{git['commit'][:12]}{' and changes' if git.get('dirty') else ''}" if git.get("commit") else None,
-        "folder": run.folder,
-    }
-    return {name: value for name, value in facts.items() if value not in (None, "")}
-
-
 def _settings(spec: Mapping[str, Any], about: Mapping[str, Any]) -> list[tuple[str, str, str]]:
     """Each setting with its value and whether the command line, the spec or a default gave it."""
     changed = dict(flatten(about.get("changed") or {}))
@@ -346,14 +325,13 @@ def _settings(spec: Mapping[str, Any], about: Mapping[str, Any]) -> list[tuple[s
     return [(path, setting(value), origin(path)) for path, value in flatten(spec)]
 
 
-def _measures(last: TestResult, tests: Iterable[TestCounts]) -> Iterator[tuple[Sequence[str], tuple[str, ...]]]:
-    """Each measure of the last test as a row of `measures_table`, with its curve over training."""
-    for name, row in zip(last.measures, measures_table(last.measures, "").rows, strict=True):
-        known = [(test.steps, test.measures[name]["mean"]) for test in tests if name in test.measures]
-        yield row, sparkline([[(steps, mean) for steps, mean in known if mean is not None]], is_ratio=False)
+def _curve(name: str, tests: Iterable[Evaluation]) -> tuple[str, ...]:
+    """The sparkline of a measure's mean over training."""
+    known = [(test.steps, test.measures[name]["mean"]) for test in tests if name in test.measures]
+    return sparkline([[(steps, mean) for steps, mean in known if mean is not None]], is_ratio=False)
 
 
-def _episodes(result: TestResult) -> tuple[Table, list[int]]:
+def _episodes(result: Evaluation) -> tuple[Table, list[int]]:
     """One row per episode of a test, and which episodes end without success."""
     numbers = range(result.episodes)
     columns: dict[str, list[str]] = {"episode": [str(place + 1) for place in numbers]}
@@ -365,7 +343,7 @@ def _episodes(result: TestResult) -> tuple[Table, list[int]]:
     if result.distances is not None:
         columns["distance from goal (m)"] = [f"{far:.4f}" for far in result.distances]
     for name, one in result.measures.items():
-        columns[heading(name, one)] = ["-" if value is None else f"{value:.4g}" for value in one["values"]]
+        columns[heading(name, one)] = ["-" if value is None else f"{value:.4g}" for value in one.get("values", ())]
     failures = [place for place in numbers if not result.end[place]]
     return Table(list(columns), list(zip(*columns.values(), strict=True))), failures
 

@@ -1,4 +1,4 @@
-"""Films of a run's policy, made when somebody asks, one at a time and in a process of their own.
+"""Films of a run's policy, made on request, one at a time and in a process of their own.
 
 python -m karolos.ui.films RUN_FOLDER FILE [failures]   what that process does
 """
@@ -10,13 +10,13 @@ import sys
 import threading
 from pathlib import Path
 
-from ..checkpoint import names, read_meta
 from ..environments.build import used
 from ..errors import KarolosError, UsageError
 from ..evaluation.changed_spec import load_player
 from ..evaluation.playing import play, play_failures
 from ..experiment.tensorboard_writer import add_film
 from ..records import RunFolder
+from ..records.checkpoint import names, read_meta
 from ..report.video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}

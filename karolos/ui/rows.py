@@ -7,18 +7,18 @@ from dataclasses import dataclass
 from functools import lru_cache
 from statistics import fmean
 
-from ..comparison import Estimate, averaged, name_of, one_per_seed
-from ..comparison.scores import estimate
+from ..comparison.contenders import averaged, name_of, one_per_seed
+from ..comparison.scores import Estimate, estimate
 from ..core.seeding import SeedTree
 from ..records.run_records import RunSummary
-from ..report import comparison_tables
+from ..report import tables
 from ..report.tables import count, duration
 from ..statistics import aggregates
 from ..store import Store
 from ..store.experiments import CurvePoint, curves, steps_asked
 
 WIDTH, HEIGHT, EDGE = 120.0, 30.0, 2.0
-"""Of a sparkline, and the room around its lines, in pixels."""
+"""Size of a sparkline, and the room around its lines, in pixels."""
 MOST_LINES = 12
 """Seeds in a sparkline; more cannot be told apart."""
 SIGNS = {"finished": "✓", "running": "▶", "created": "…", "stopped": "‖", "failed": "✕", "lost": "?"}
@@ -63,8 +63,8 @@ def experiment_rows(store: Store, experiments: Iterable[Sequence[RunSummary]]) -
     """The rows of some experiments, each given by its runs."""
     found = [tuple(reversed(runs)) for runs in experiments]
     drawn = {run.run for runs in found for run in list(one_per_seed(runs).values())[:MOST_LINES]}
-    tests = curves(store.database, sorted(drawn))
-    asked = steps_asked(store.database, [run.run for runs in found for run in runs if run.state == "running"])
+    tests = curves(store, sorted(drawn))
+    asked = steps_asked(store, [run.run for runs in found for run in runs if run.state == "running"])
     return [_row(runs, tests, asked) for runs in found]
 
 
@@ -74,7 +74,7 @@ def _row(runs: Sequence[RunSummary], tests: dict[str, list[CurvePoint]], asked: 
     reported = [run.success_end if has_success else run.mean_return for run in counted]
     episodes = next((run.episodes for run in counted if run.episodes), None)
     result = _estimate(tuple(one for one in reported if one is not None), episodes if has_success else None)
-    value, _, interval = comparison_tables.estimate(result).partition(" ")
+    value, _, interval = tables.estimate(result).partition(" ")
     steps = count(fmean(run.steps for run in counted))
     if training := [run for run in runs if run.run in asked]:
         steps = f"{count(fmean(run.steps for run in training))} of {count(max(asked[run.run] for run in training))}"

@@ -67,6 +67,15 @@ def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs:
     with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
         call(app, "upgrade")
     add_run(runs, 0)
+    listed = rows(runs_app, "list")
+    with sqlite3.connect(runs / "karolos.sqlite") as old:  # as of 0.2, which had tables of sweeps
+        old.executescript(
+            "UPDATE karolos_schema SET version = 10; ALTER TABLE runs DROP COLUMN 'commit';"
+            "CREATE TABLE sweeps (sweep TEXT PRIMARY KEY); CREATE TABLE trials (sweep TEXT REFERENCES sweeps(sweep));"
+        )
+    old.close()
+    assert "1 runs entered, 0 forgotten" in call(app, "upgrade").stderr
+    assert rows(runs_app, "list") == listed
     assert "nothing to do" in call(app, "upgrade").stderr
     with sqlite3.connect(runs / "karolos.sqlite") as other:
         other.execute("UPDATE karolos_schema SET version = version + 1")

@@ -8,9 +8,9 @@ import re
 import pytest
 from karolos_cli.display import Live, Plain
 from support.commands import Terminal
+from support.run_samples import result
 
 from karolos.experiment.events import RunAdvanced, RunBusy, RunEnded, RunEvent, RunStarted, RunTested
-from karolos.records.results import TestResult
 
 
 def last_line(width: int, *events: RunEvent) -> str:
@@ -27,8 +27,7 @@ def last_line(width: int, *events: RunEvent) -> str:
 
 
 STARTED = RunStarted("run", 0, 6000, "runs/run")
-FLAGS = (True,) * 100
-TESTED = RunTested("run", TestResult(5000, 17.0, FLAGS, FLAGS, FLAGS, (-7.5,) * 100, (50,) * 100))
+TESTED = RunTested("run", result(5000, 100, 100))
 
 
 def test_bar_says_what_a_run_does_besides_training() -> None:

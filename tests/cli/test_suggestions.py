@@ -11,8 +11,6 @@ from support.run_samples import add_run
 from support.sweep_samples import some_trial, write_sweep
 from typer.testing import CliRunner
 
-from karolos.store import Store
-
 
 @pytest.fixture
 def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
@@ -20,8 +18,7 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
     monkeypatch.setenv("COLUMNS", "200")
     add_run(tmp_path, 0)
-    with Store(Store.default_url(tmp_path)) as store:
-        store.sweeps.add([write_sweep(tmp_path, "grid", [some_trial(0)])])
+    write_sweep(tmp_path, "grid", [some_trial(0)])
     return tmp_path
 
 

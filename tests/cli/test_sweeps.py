@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,6 @@ import karolos
 from karolos.errors import UsageError
 from karolos.files import FileLock
 from karolos.records.sweep_records import SweepFinal
-from karolos.store import Store
 
 
 @pytest.fixture
@@ -60,11 +60,10 @@ def test_a_trial_that_nobody_works_on_is_open_and_not_running(runs: Path) -> Non
     assert call(app, "show", "half").stdout.splitlines()[2].split()[:2] == ["1", "open"]
 
 
-def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path, tmp_path: Path) -> None:
+def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path) -> None:
     with pytest.raises(UsageError, match="there is no sweep 'dome'; did you mean 'done'"):
         call(app, "show", "dome")
-    with Store(Store.default_url(runs)) as store:
-        store.sweeps.add([write_sweep(tmp_path / "other", "done", [], sweep="done-20270101-000000")])
+    shutil.copytree(runs / "sweeps" / "done", runs / "sweeps" / "copy")
     with pytest.raises(UsageError, match="'done' means several sweeps; one of done-2"):
         call(app, "show", "done")
 
@@ -74,17 +73,23 @@ def test_without_sweeps_it_says_how_to_make_one(tmp_path: Path) -> None:
     assert (told.stdout, told.stderr) == ("", f"no sweeps in {tmp_path} yet; `karolos sweep SPEC` makes one\n")
 
 
-def test_reindex_enters_sweeps_and_names_what_is_damaged(runs: Path) -> None:
+def test_a_damaged_sweep_is_named_and_the_others_are_listed(runs: Path) -> None:
     (runs / "sweeps" / "half" / "sweep.json").write_text("{}")
-    told = call(db, "reindex", exit_code=1).stderr
-    assert "1 sweeps entered, 0 forgotten" in told
-    assert "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again" in told
+    (runs / "sweeps" / "done" / "trials.jsonl").open("a").write('{"number":')
+    damaged = "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again"
+    torn = "done: trials.jsonl:4: the last line is torn; left out"
+    for told in (
+        call(db, "reindex", exit_code=1).stderr,
+        call(db, "check", exit_code=4).stdout,
+        call(app, "list").stderr,
+    ):
+        assert damaged in told
+        assert torn in told
     assert [row["name"] for row in rows(app, "list")] == ["done"]
 
 
 def test_runs_of_trials_are_listed_on_request(runs: Path) -> None:
-    with Store(Store.default_url(runs)) as store:
-        store.sweeps.add([write_sweep(runs, "half", [some_trial(0)])])
+    write_sweep(runs, "x", [some_trial(0)])
     plain, trial = add_run(runs, 0), add_run(runs, 0, name="x-t000")
     told = call(list_of_runs, "list", "--limit", 1)
     assert plain in told.stdout

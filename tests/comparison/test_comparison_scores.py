@@ -10,11 +10,12 @@ from typing import Any
 import pytest
 from support.compared_runs import SPEC, contender, run
 
-from karolos.comparison import ComparedRun, Contender, Estimate, compare
+from karolos.comparison import Contender, Estimate, compare
 from karolos.comparison.scores import estimate as estimate_of
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.report.comparison_tables import estimate, measures_table, verdict
+from karolos.records.run_records import RunRecord
+from karolos.report.tables import compared_measures_table, estimate, verdict
 from karolos.statistics.intervals import wilson
 from karolos.statistics.transfer import median_time_ratio
 
@@ -40,7 +41,7 @@ def test_two_seeds_and_more_have_their_range_and_five_a_bootstrap_interval(seeds
 
 
 def test_measures_are_means_over_seeds_and_unknown_where_a_seed_does_not_know() -> None:
-    def known(seed: int, force: float, time: float | None) -> ComparedRun:
+    def known(seed: int, force: float, time: float | None) -> RunRecord:
         about = {"peak_force": ("N", "smaller", force), "time": ("s", "larger", time)}
         measures = {name: dict(zip(("unit", "better", "mean"), one, strict=True)) for name, one in about.items()}
         return run(seed, [10], measures=measures)
@@ -49,7 +50,7 @@ def test_measures_are_means_over_seeds_and_unknown_where_a_seed_does_not_know() 
     [scores, old] = comparison.scores
     assert scores.measures == {"peak_force": Estimate(30.0, 20.0, 40.0, "range"), "time": None}
     assert old.measures == {}
-    assert measures_table(comparison).rows == [("peak_force, N", "30.0 (20.0 to 40.0)", "-")]
+    assert compared_measures_table(comparison).rows == [("peak_force, N", "30.0 (20.0 to 40.0)", "-")]
     assert comparison.rows()[0]["measures"]["time"] == {
         "unit": "s", "better": "larger", "value": None, "seeds": [None, 2.0]
     }  # fmt: skip

@@ -10,26 +10,27 @@ from typing import Any
 import pytest
 from support import toy_runs as toys
 from support.compared_runs import SPEC, contender
+from support.run_samples import result
 
-from karolos.comparison import compare, conditions, gather
-from karolos.comparison.conditions import Condition
+from karolos.comparison import compare, gather
+from karolos.comparison.conditions import Condition, conditions
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.zero_shot import zero_shot_test
-from karolos.records import RunFolder, transfer_results
-from karolos.records.results import TestCounts, TestResult
-from karolos.records.transfer_results import TransferResult
+from karolos.files import Lines
+from karolos.records import RunFolder
+from karolos.records.evaluation import Evaluation
 from karolos.report.comparison_figures import condition_figures, measure_figures
 
-Reads = Callable[[dict[int, list[TransferResult]]], Condition]
+Reads = Callable[[dict[int, list[Evaluation]]], Condition]
 
 
 @pytest.fixture
 def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reads:
     """Over a setting: the condition of three runs that have these tests."""
 
-    def found(tests: dict[int, list[TransferResult]]) -> Condition:
-        monkeypatch.setattr(RunFolder, "open", staticmethod(lambda folder: int(folder[-1])))
-        monkeypatch.setattr(transfer_results, "read", lambda place: (tests.get(place, []), ()))
+    def found(tests: dict[int, list[Evaluation]]) -> Condition:
+        monkeypatch.setattr(RunFolder, "open", staticmethod(lambda folder: RunFolder(Path(folder))))
+        monkeypatch.setattr(RunFolder, "transfers", lambda self: Lines(tuple(tests.get(int(self.id[-1]), ())), ()))
         spec = SPEC | {"task": {"name": "reach", "threshold": 0.05}}
         [condition] = conditions(contender("a", [[10]] * 3, spec=spec), SeedTree(0)).values()
         return condition
@@ -39,12 +40,10 @@ def read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Reads:
 
 def of(value: float, successes: int, *, episodes: int = 20, setting: str = "task.threshold", **about: Any) -> Any:
     """A test with so many successes, whose policy has success in all episodes but two at its own value."""
-    flags = tuple(place < successes for place in range(episodes))
-    result = TestResult(100, 1.0, flags, flags, flags, (0.0,) * episodes, (5,) * episodes)
-    own = TestCounts(100, 1.0, episodes, episodes - 2, episodes - 2, 0, 0.0)
-    about = {"checkpoint": "best", "sha256": "a", "seed": 7, "randomized": False} | about
-    about |= {"overrides": (f"{setting}={value}",), "result": replace(result, has_success=about.pop("known", True))}
-    return TransferResult(time="", wall_seconds=1.0, versions={}, own=own, **about)
+    test = result(100, successes, episodes, end=successes, has_success=about.pop("known", True))
+    own = Evaluation(100, 1.0, episodes, episodes - 2, episodes - 2, 0, 0.0)
+    about = {"checkpoint": "best", "sha256": "a", "seed": 7} | about
+    return replace(test, overrides=(f"{setting}={value}",), own=own, **about)
 
 
 def test_only_tests_that_belong_together_stand_in_one_line(read: Reads) -> None:
@@ -76,11 +75,10 @@ def test_a_parameter_of_the_world_is_shown_without_its_nominal_value(read: Reads
 def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: Path) -> None:
     folder = toys.run_of(toys.REACH, tmp_path)
     done = zero_shot_test(folder, ["task.threshold=0.2"], checkpoint="last", episodes=4)
-    succeeded = replace(done.result, end=(True, True, True, False))
-    transfer_results.add(folder, replace(done, result=succeeded))
-    transfer_results.add(folder, replace(done, overrides=("task.threshold=0.3", "robot.name=ur5")))
-    transfer_results.add(folder, replace(done, overrides=("task.reward=dense",)))
-    transfer_results.add(folder, replace(done, overrides=("task.threshold=0.4",), randomized=True))
+    folder.add_transfer(replace(done, end=(True, True, True, False), successes_end=3))
+    folder.add_transfer(replace(done, overrides=("task.threshold=0.3", "robot.name=ur5")))
+    folder.add_transfer(replace(done, overrides=("task.reward=dense",)))
+    folder.add_transfer(replace(done, overrides=("task.threshold=0.4",), randomized=True))
 
     one = gather(None, [folder.record().summary], "one")
     found = conditions(one, SeedTree(0))["task.threshold"].success
@@ -93,9 +91,7 @@ def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: P
     [drawing] = condition_figures(compared)
     assert [text for _, text in drawing.parts.values() if text.startswith("one at 0.2: 0.750")]
     spread = next(one for one in measure_figures(compared) if one.name == "measure_final_distance_spread")
-    final = folder.final()
-    assert final is not None
-    values = final.last.measures["final_distance"]["values"]
+    values = folder.final()["last"].measures["final_distance"]["values"]
     line = spread.axes.get_lines()[0]
     for x, share in zip(line.get_xdata(), line.get_ydata(), strict=True):
         assert share == pytest.approx(sum(one is not None and one <= x for one in values) / len(values))

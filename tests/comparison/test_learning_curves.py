@@ -6,8 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.compared_runs import contender, run
 
-from karolos.comparison import densities, learning_curve
-from karolos.comparison.curves import POINTS, along
+from karolos.comparison.curves import POINTS, along, densities, learning_curve
 from karolos.core.seeding import SeedTree
 from karolos.statistics import aggregates
 from karolos.statistics.density import integral

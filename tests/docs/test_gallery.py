@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import runpy
 import sys
@@ -11,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from karolos.records import paths
+from karolos.records import RunFolder, paths
 from karolos.report.figures import Drawing
 
 SCRIPTS = Path(__file__).parents[2] / "docs" / "_scripts"
@@ -35,12 +34,9 @@ def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(
     assert len(written) == 1 + 3 * len(pages["TASKS"]), "an overview, and a page per task and robot"
     ends: dict[str, list[float]] = {}
     for run in paths(sys.modules["references"].REFERENCE):
-        if not (run / "final.jsonl").exists():  # a variant that trains less, which is on no page
-            continue
-        last = json.loads((run / "final.jsonl").read_text().splitlines()[1])
-        ends.setdefault(json.loads((run / "run.json").read_text())["name"], []).append(
-            sum(last["end"]) / len(last["end"])
-        )
+        summary = RunFolder.open(run).summary()
+        if summary.final:  # not of a variant that trains less, which is on no page
+            ends.setdefault(summary.name, []).append(summary.success_end)
     for specs in pages["TASKS"].values():
         for robot in ("panda", "ur5", "iiwa"):
             names = [f"{robot}_{spec}" for spec in specs]

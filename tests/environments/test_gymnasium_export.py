@@ -15,7 +15,7 @@ from support.rig import ENGINES
 from karolos.environments.build import build_environment
 from karolos.environments.gymnasium.export import GoalEnv, RobotTaskEnv
 from karolos.errors import UsageError
-from karolos.evaluation.playing import score
+from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
 from karolos.gym import environment_ids
 from karolos.specification import spec_from_dict
@@ -40,7 +40,7 @@ def test_an_id_whose_episodes_became_longer_stays_and_gymnasium_says_that_there_
 @pytest.mark.parametrize("name", ["karolos/PandaPush-v2", "karolos/PandaPickPlace-v2"])
 def test_the_expert_solves_what_was_too_short_for_it(name: str) -> None:
     environment = gymnasium.make(name).unwrapped._environment
-    assert score(environment, expert_policy(environment), episodes=24, seed=0).success_end == 1
+    assert evaluate(environment, expert_policy(environment), episodes=24, seed=0).success_end == 1
     environment.close()
 
 

@@ -1,4 +1,4 @@
-"""Playing a policy: the test episodes moment by moment, and their score."""
+"""Playing a policy: the test episodes moment by moment, and their results."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 from karolos.core import Array, Environment, Field, Layout, Signature, Step
 from karolos.environments.toy import Toy
 from karolos.errors import UsageError
-from karolos.evaluation.playing import Score, play, play_failures, score
+from karolos.evaluation.playing import evaluate, play, play_failures
 from karolos.evaluation.policies import Policy, random_policy
 from karolos.evaluation.testing import test_seeds
-from karolos.statistics.intervals import wilson
+from karolos.records.evaluation import Evaluation
 
 
 def test_moments_follow_an_episode_from_its_reset_to_its_end_on_the_seeds_of_the_tests():
@@ -55,11 +55,10 @@ class Scripted(Environment):
 STILL = Policy(lambda _: np.zeros(1, np.float32))
 
 
-def test_success_is_counted_at_some_step_and_at_the_end_and_the_first_is_timed():
-    found = score(Scripted(["..x.x", "...x.", ".....", ".x"]), STILL, episodes=4, seed=0)
-    assert (found.success_any, found.success_end) == (0.75, 0.5)
-    assert found.steps == pytest.approx((2 + 3 + 1) / 3)
-    assert (found.low, found.high) == wilson(2, 4)
+def test_success_is_counted_at_some_step_and_at_the_end():
+    found = evaluate(Scripted(["..x.x", "...x.", ".....", "x."]), STILL, episodes=4, seed=0)
+    assert (found.any, found.end) == ((True, True, False, True), (True, False, False, False))
+    assert (found.reset, found.lengths) == ((False, False, False, True), (4, 4, 4, 1))
 
 
 def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
@@ -70,16 +69,10 @@ def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
         list(play_failures(Scripted(["..x", ".x"]), STILL, episodes=2, seed=0, among=2))
 
 
-def test_a_policy_that_never_succeeds_has_no_time_of_success():
-    found = score(Scripted(["...", "."]), Policy(lambda _: np.zeros(1)), episodes=1, seed=0)
-    assert found.steps is None
-    assert found.success_end == found.low == 0.0
-
-
-def test_the_same_seed_gives_the_same_score() -> None:
-    def found(seed: int) -> Score:
+def test_the_same_seed_gives_the_same_evaluation() -> None:
+    def found(seed: int) -> Evaluation:
         environment = Toy(Toy.Settings())
-        return score(environment, random_policy(environment, seed), episodes=60, seed=seed)
+        return evaluate(environment, random_policy(environment, seed), episodes=60, seed=seed)
 
     assert found(3) == found(3)
     assert 0 < found(3).success_any < 1

@@ -1,28 +1,41 @@
-"""Policies: a saved agent, an expert and random actions; a policy that cannot be had is refused."""
+"""Policies: saved agents with their environments, experts and random actions; what cannot be had is refused."""
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 from support.toy_runs import toy
 
-from karolos import checkpoint
+import karolos
 from karolos.core import Array
 from karolos.core.seeding import SeedTree
+from karolos.environments.gymnasium.export import GoalEnv
 from karolos.environments.toy import Toy
-from karolos.errors import MachineError, RunError, UsageError
+from karolos.errors import MachineError, NoSuchRunError, RunError, SpecError, UsageError
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
-from karolos.evaluation.policies import expert_policy, has_window, load_agent, load_expert, random_policy, signature_of
+from karolos.evaluation.policies import (
+    SavedAgent,
+    expert_policy,
+    has_window,
+    load_agent,
+    load_expert,
+    random_policy,
+    signature_of,
+)
 from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy
 from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
+from karolos.records.shipped import FOLDER
 from karolos.registry import load
-from karolos.specification import Spec, spec_from_dict
+from karolos.specification import Spec, load_spec, spec_from_dict
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -125,3 +138,118 @@ def test_a_checkpoint_that_lacks_something_is_refused_in_one_line(tmp_path: Path
     with pytest.raises(RunError, match="checkpoint") as caught:
         load_agent(folder)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["panda_push", "panda_reach_dqn", "panda_insert_blind", "iiwa_open"])
+def test_the_environment_of_a_shipped_spec_passes_gymnasiums_check_with_its_settings(name: str) -> None:
+    environment, spec = karolos.make(name), load_spec(name)
+    assert spec.task is not None
+    assert environment.spec is not None
+    assert environment.spec.max_episode_steps == spec.task.settings.max_steps
+    assert environment.metadata["render_fps"] == 240 / spec.environment.settings.substeps
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.filterwarnings("ignore", message=".*is (-)?infinity")
+        check_env(environment)
+
+
+def test_a_file_a_spec_a_run_and_what_gymnasium_makes_of_it_again_are_one_environment(tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("extends: karolos:panda_push.yaml\n")
+    made = [karolos.make(one) for one in (file, load_spec("panda_push"), "shipped:panda_push", FOLDER / "panda_push")]
+    made.append(karolos.load("panda_push").environment())
+    again: Any = gymnasium.make(made[0].spec, render_mode="rgb_array").unwrapped  # type: ignore[arg-type]
+    starts = [environment.reset(seed=3)[0] for environment in (*made, again)]
+    for start in starts[1:]:
+        assert start.facts.differences(starts[0].facts) == []
+        np.testing.assert_array_equal(start["observation"], starts[0]["observation"])
+
+
+def test_what_training_draws_is_drawn_on_demand() -> None:
+    gravity = {"task.gravity": {"name": "uniform", "low": -11, "high": -9}}
+    spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "sac", "randomization": gravity})
+    assert "parameters" not in karolos.make(spec).reset(seed=0)[1]
+    assert -11 <= karolos.make(spec, randomize=True).reset(seed=0)[1]["parameters"]["task.gravity"] <= -9
+
+
+@pytest.mark.parametrize(
+    ("name", "error", "told"),
+    [
+        ("panda_psh", NoSuchRunError, "'panda_psh' is neither a spec nor a run; did you mean 'panda_push'"),
+        ("zzz", NoSuchRunError, "neither a spec nor a run; .*panda_pick"),
+        ("zzz.yaml", SpecError, "zzz.yaml: there is no such file"),
+    ],
+)
+def test_a_name_that_means_nothing_is_refused(
+    name: str, error: type[Exception], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(error, match=told):
+        karolos.make(name)
+
+
+@pytest.fixture(scope="module")
+def policy() -> SavedAgent:
+    return karolos.load("panda_reach")
+
+
+def begun(**settings: Any) -> Any:
+    return GoalEnv.reset(gymnasium.make("karolos.gym:karolos/PandaReach-v1", **settings).unwrapped, seed=0)[0]  # type: ignore[arg-type]
+
+
+def test_a_policy_succeeds_in_its_environment(policy: SavedAgent) -> None:
+    environment, succeeded = karolos.make("panda_reach"), 0
+    for seed in range(10):
+        observation, info = environment.reset(seed=seed)
+        over = False
+        while not over:
+            observation, _, terminated, truncated, info = environment.step(policy.act(observation))
+            over = terminated or truncated
+        succeeded += info["is_success"]
+    assert succeeded == 10
+
+
+@pytest.mark.parametrize(
+    ("settings", "told"),
+    [
+        ({"substeps": 20}, "there are 12 actions per second here and 24 there"),
+        ({"tool_step": 0.01}, "an action of 1 in tool_position_change is 0.01 m here and 0.017 m there"),
+        ({"base": "centred"}, "robot.base=centred here"),
+        ({"control": "joint"}, "action is .joint_changes 7"),
+    ],
+)
+def test_an_observation_of_another_environment_is_refused_in_one_line(
+    settings: dict[str, Any], told: str, policy: SavedAgent
+) -> None:
+    own = policy.environment()._environment
+    same = {"substeps": own.settings.substeps, "tool_step": own.robot.settings.tool_step}
+    assert policy.act(begun(**same)).shape == (3,), "the task's length and threshold are no reason"
+    with pytest.raises(UsageError, match=f"^act: panda_reach.*{told}.*environment") as refused:
+        policy.act(begun(**(same | settings)))
+    assert "\n" not in str(refused.value)
+
+
+def test_of_plain_arrays_the_sizes_are_checked(policy: SavedAgent) -> None:
+    observation = policy.environment().reset(seed=0)[0]
+    plain = dict(observation)
+    np.testing.assert_array_equal(policy.act(plain), policy.act(plain["observation"], plain["desired_goal"]))
+    with pytest.raises(UsageError, match="no 'desired_goal', only observation"):
+        policy.act({"observation": plain["observation"]})
+    with pytest.raises(UsageError, match=r"observation has the shape \(2,\)"):
+        policy.act([0, 0], plain["desired_goal"])
+
+
+def test_what_critics_alone_observe_may_be_there() -> None:
+    environment = karolos.make("panda_insert_blind")
+    facts = environment.facts
+    assert facts.signature.observation.size > facts.signature.observation.acting.size
+    seen: list[tuple[int, ...]] = []
+
+    class Agent:
+        def act(self, observation: Any, goal: Any, **_: Any) -> Any:
+            seen.append((observation.shape, goal.shape))
+            return np.zeros((1, 6))
+
+    saved = SavedAgent("run", "best", "", 0, 0.0, {}, load_spec("panda_insert_blind"), facts, Agent())  # type: ignore[arg-type]
+    saved.act(environment.reset(seed=0)[0])
+    assert seen == [((1, facts.signature.observation.acting.size), (1, facts.signature.desired_goal.size))]

@@ -13,7 +13,7 @@ from karolos.core import Environment, Field, GoalRule, Layout, Measure, Signatur
 from karolos.environments.toy import Toy
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.orchestrator.local import Local
-from karolos.records.results import TestResult, measure_means
+from karolos.records.evaluation import Evaluation
 
 # What an episode is: whether the goal holds at the reset and after each step, and whether it ends by termination.
 Script = tuple[tuple[bool, ...], bool]
@@ -77,15 +77,15 @@ class Greedy:
         return np.clip((desired_goal - observation) * 5, -1, 1)
 
 
-def play(scripts: list[Script], size: int) -> TestResult:
+def play(scripts: list[Script], size: int) -> Evaluation:
     with Local(Local.Settings(processes=0, environments=size), partial(Scripted, scripts)) as orchestrator:
         return play_episodes(orchestrator, Echo(), range(len(scripts)), steps=7, seconds=1.5)
 
 
-def expected(scripts: list[Script]) -> TestResult:
-    return TestResult(
-        steps=7,
-        seconds=1.5,
+def expected(scripts: list[Script]) -> Evaluation:
+    return Evaluation.of(
+        7,
+        1.5,
         any=tuple(any(successes) for successes, _ in scripts),
         end=tuple(successes[-1] for successes, _ in scripts),
         reset=tuple(successes[0] for successes, _ in scripts),
@@ -136,9 +136,9 @@ def test_distances_and_measures_are_those_at_the_end_of_each_episode_and_unknown
         result = play_episodes(orchestrator, Echo(), range(len(SCRIPTS)))
     assert result.distances == pytest.approx((0.2, 0.2, 0.1, 0.4, 0.1))
     assert (result.within(0.05), result.within(0.15), result.within(0.25)) == (0, 0.4, 0.8)
-    assert result.measures["steps"] == {"unit": "1", "better": "smaller", "values": (2, 2, 1, 4, 1)}
+    assert result.measures["steps"] == {"unit": "1", "better": "smaller", "mean": 2, "values": (2, 2, 1, 4, 1)}
     assert result.measures["won"]["values"] == (None, 0.666667, None, None, 0.333333)
-    assert measure_means(result.measures)["won"]["mean"] == pytest.approx(0.5)
+    assert result.measures["won"]["mean"] == pytest.approx(0.5)
     without = play(SCRIPTS, size)
     assert without.distances is None
     assert without.measures == {}

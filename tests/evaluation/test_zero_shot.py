@@ -1,4 +1,4 @@
-"""TransferResult tests of a saved policy: what is played, what is written, and what is refused."""
+"""Tests of a saved policy under changed settings: what is played, what is written, and what is refused."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from support import toy_runs as toys
 from karolos.errors import MachineError, RunError, SpecError, UsageError
 from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.files import FileLock
-from karolos.records import RunFolder, transfer_results
-from karolos.records.results import TestCounts
-from karolos.records.transfer_results import TransferResult
+from karolos.records import RunFolder
+from karolos.records.evaluation import LISTS, Evaluation
+from karolos.records.run_folder import TRANSFERS
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -40,16 +40,18 @@ def reach(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return toys.run_of(REACH, tmp_path_factory.mktemp("runs"))
 
 
+def episodes_of(test: Evaluation) -> tuple[Any, ...]:
+    return (test.steps, *(getattr(test, name) for name in LISTS))
+
+
 def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_chosen_on(toy: RunFolder) -> None:
-    final = toy.final()
-    assert final is not None
-    for name, own in (("last", final.last), ("best", final.best)):
+    for name, own in toy.final().items():
         transfer = zero_shot_test(toy, checkpoint=name)
-        assert own is not None
-        assert transfer.result == replace(own, seconds=transfer.result.seconds)
-        assert (transfer.seed, transfer.randomized, transfer.overrides) == (1_000_005, False, ())
+        assert episodes_of(transfer) == episodes_of(own)
+        assert (transfer.sha256, transfer.seed, transfer.checkpoint) == (own.sha256, 1_000_005, name)
+        assert (transfer.randomized, transfer.overrides) == (False, ())
     again = zero_shot_test(toy, checkpoint="last", seed=5)
-    assert again.result == replace(toy.tests()[-1], seconds=again.result.seconds)
+    assert episodes_of(again) == episodes_of(toy.tests()[-1])
 
 
 @pytest.mark.parametrize(("seed", "episodes"), [(None, None), (None, 3), (None, 6), (8, 4)])
@@ -59,23 +61,23 @@ def test_the_same_policy_on_the_same_episodes_stands_beside_it(
     for name in ("best", "last"):
         changed = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint=name, seed=seed, episodes=episodes)
         unchanged = zero_shot_test(toy, checkpoint=name, seed=seed, episodes=episodes)
-        assert replace(changed.own, seconds=0.0) == replace(TestCounts.of(unchanged.result), seconds=0.0)
-        assert changed.own.episodes == changed.result.episodes == (episodes or 4)
+        assert replace(changed.own, seconds=0.0) == replace(unchanged.counts, seconds=0.0)
+        assert changed.own.episodes == changed.episodes == (episodes or 4)
 
 
 def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:
     first = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
     second = zero_shot_test(toy, ["environment.max_steps=3"])
-    assert transfer_results.read(toy) == ((first, second), ())
-    assert (first.result.episodes, first.seed, first.result.steps) == (3, 8, 80)
-    assert set(second.result.lengths) == {3}
+    assert toy.transfers() == ((first, second), ())
+    assert (first.episodes, first.seed, first.steps) == (3, 8, 80)
+    assert set(second.lengths) == {3}
     assert first.versions["karolos"]
     assert toy.record().problems == ()
 
 
 def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder) -> None:
     def returns(overrides: Sequence[str] = (), **options: Any) -> tuple[float, ...]:
-        return zero_shot_test(toy, overrides, **options).result.returns
+        return zero_shot_test(toy, overrides, **options).returns
 
     assert returns(["environment.reward=dense"]) == returns(["environment.reward=dense"])
     assert returns(["environment.reward=dense"], seed=1) != returns(["environment.reward=dense"], seed=2)
@@ -85,10 +87,10 @@ def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder
 def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFolder) -> None:
     own = zero_shot_test(reach, checkpoint="last")
     other = zero_shot_test(reach, ["robot=ur5"], checkpoint="last")
-    assert own.result.distances != other.result.distances
+    assert own.distances != other.distances
     gravity = "randomization.task.gravity={name: uniform, low: -12, high: -2}"
     assert zero_shot_test(reach, [gravity], checkpoint="last", randomize=True).randomized
-    assert transfer_results.read(reach)[0][-2] == other
+    assert reach.transfers().rows[-2] == other
     with pytest.raises(UsageError, match="--randomize"):
         zero_shot_test(reach, [gravity], checkpoint="last")
 
@@ -96,11 +98,11 @@ def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFo
 def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
     own = zero_shot_test(reach, checkpoint="last")
     changed = zero_shot_test(reach, ["task.gravity=-5"], checkpoint="last")
-    assert changed.result.distances != own.result.distances
+    assert changed.distances != own.distances
     assert changed.overrides == ("task.gravity=-5",)
     assert not changed.randomized
     nominal = zero_shot_test(reach, ["task.gravity=-9.81"], checkpoint="last")
-    assert nominal.result.distances == own.result.distances
+    assert nominal.distances == own.distances
     both = ["robot=ur5", "robot.joint_friction=0.4"]
     assert zero_shot_test(reach, both, checkpoint="last").overrides == tuple(both)
     with pytest.raises(UsageError, match=r"task\.gravity.*-50 m/s2 .*; allowed is -20 to 0 m/s2"):
@@ -111,13 +113,13 @@ def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
 
 
 def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
-    before = transfer_results.read(reach)
+    before = reach.transfers()
     with pytest.raises(UsageError, match="with other observations, actions or goals") as caught:
         zero_shot_test(reach, ["robot.control=joint"], checkpoint="last")
     text = str(caught.value)
     for told in ("override robot.control=joint", "joint_changes 7 1", "tool_position_change 3 1", "here", "there"):
         assert told in text
-    assert transfer_results.read(reach) == before
+    assert reach.transfers() == before
     with pytest.raises(UsageError, match=r"position 3 1\] here and \[position 2 1\] there"):
         zero_shot_test(toy, ["environment.dimensions=3"])
 
@@ -142,7 +144,7 @@ def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) ->
         zero_shot_test(toy, randomize=True)
     with pytest.raises(RunError, match="never"):
         zero_shot_test(toy, checkpoint="never")
-    assert not (toy.path / transfer_results.FILE).exists()
+    assert not (toy.path / TRANSFERS).exists()
 
 
 def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
@@ -153,29 +155,25 @@ def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
 
 def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
     first = zero_shot_test(toy)
-    path = toy.path / transfer_results.FILE
+    path = toy.path / TRANSFERS
     path.write_text('{"time": 3}\nnot json\n' + path.read_text() + '{"torn')
-    found, problems = transfer_results.read(toy)
+    found, problems = toy.transfers()
     assert found == (first,)
     assert [problem.split(": ")[0] for problem in problems] == [
-        f"{transfer_results.FILE}:2",
-        f"{transfer_results.FILE}:4",
-        transfer_results.FILE,
+        f"{TRANSFERS}:1",
+        f"{TRANSFERS}:2",
+        f"{TRANSFERS}:4",
     ]
-    transfer_results.add(toy, first)
-    assert transfer_results.read(toy)[0] == (first, first)
+    toy.add_transfer(first)
+    assert toy.transfers().rows == (first, first)
 
 
 def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
     first = zero_shot_test(toy)
     many = [replace(first, seed=seed) for seed in range(24)]
-
-    def add(transfer: TransferResult) -> None:
-        transfer_results.add(toy, transfer)
-
     with ThreadPoolExecutor(8) as pool:
-        list(pool.map(add, many))
-    assert sorted(transfer.seed for transfer in transfer_results.read(toy)[0][1:]) == list(range(24))
+        list(pool.map(toy.add_transfer, many))
+    assert sorted(transfer.seed for transfer in toy.transfers().rows[1:]) == list(range(24))
 
 
 def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -184,5 +182,5 @@ def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch:
     lock = FileLock(toy.path / "transfers.lock")
     assert lock.acquire()
     with pytest.raises(MachineError, match="locked"):
-        transfer_results.add(toy, first)
+        toy.add_transfer(first)
     lock.release()

@@ -11,11 +11,10 @@ import pytest
 from support.states import assert_same_state
 from support.toy_runs import toy
 
-from karolos import checkpoint
 from karolos.errors import MachineError, RunError, StoreError, UsageError
 from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 from karolos.report.tables import runs_table
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store
@@ -236,7 +235,7 @@ def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fail
             raise MachineError("no space left on the disk", hint="free some")
         return save(*arguments)
 
-    monkeypatch.setattr("karolos.checkpoint.save", full)
+    monkeypatch.setattr("karolos.records.checkpoint.save", full)
     events = []
     outcome = Experiment(spec()).run(tmp_path, listener=events.append, check=False)
     assert (outcome.runs[0].state, outcome.exit_code) == (state, int(state == "failed"))
@@ -257,7 +256,7 @@ def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_be
             raise MachineError("no space left on the disk")
         return save(folder, name, *content)
 
-    monkeypatch.setattr("karolos.checkpoint.save", full_once)
+    monkeypatch.setattr("karolos.records.checkpoint.save", full_once)
     monkeypatch.setattr(
         "karolos.experiment.checkpointer._rank", lambda result: (1 / result.steps,)
     )  # the first is best
@@ -288,7 +287,7 @@ def test_a_full_disk_under_the_test_results_fails_the_run(tmp_path, monkeypatch)
 
 
 def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
-    with Store(Store.default_url(tmp_path)) as store, store.database.writing() as connection:
+    with Store(Store.default_url(tmp_path)) as store, store.writing() as connection:
         connection.exec_driver_sql("UPDATE karolos_schema SET version = version + 1")
     with pytest.raises(StoreError, match="a newer karolos made this database"):
         Experiment(spec()).run(tmp_path)

@@ -14,12 +14,11 @@ from typing import Any
 import pytest
 from support.toy_runs import TOY
 
-from karolos import checkpoint
 from karolos.errors import KarolosError, RunError, UsageError
 from karolos.evaluation.policies import load_agent
 from karolos.files import locked
 from karolos.launchers.experiment import Experiment, resume_run
-from karolos.records import RunFolder, scan
+from karolos.records import RunFolder, checkpoint, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
 from karolos.system import is_alive

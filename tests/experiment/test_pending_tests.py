@@ -14,13 +14,12 @@ import pytest
 from support.states import assert_same_runs, assert_same_state
 from support.toy_runs import run_of, toy
 
-from karolos import checkpoint
 from karolos.evaluation import due_tests
 from karolos.experiment import pending_tests
 from karolos.experiment.events import RunWarned
 from karolos.experiment.pending_tests import PendingTests
 from karolos.launchers import experiment
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 from karolos.specification import spec_from_dict
 
 pytestmark = pytest.mark.xdist_group(__name__)

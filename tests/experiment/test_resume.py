@@ -15,14 +15,13 @@ from support.rig import ENGINES
 from support.run_samples import stored
 from support.states import assert_same_runs
 
-from karolos import checkpoint
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.experiment.events import RunStarted, RunTested, RunWarned
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
 from karolos.launchers.experiment import Experiment, resume_run
-from karolos.records import RunFolder, provenance
+from karolos.records import RunFolder, checkpoint, provenance
 from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store
 

@@ -9,7 +9,6 @@ import pytest
 from support.states import assert_same_state
 from support.toy_runs import toy
 
-from karolos import checkpoint
 from karolos.core import Signature
 from karolos.core.seeding import SeedTree
 from karolos.environments.build import build_environment
@@ -17,7 +16,7 @@ from karolos.errors import UsageError
 from karolos.experiment.start_from import apply, find, pinned
 from karolos.launchers.experiment import Experiment
 from karolos.plugins.contracts.case import state_differences
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 from karolos.specification import Spec, spec_from_dict
 from karolos.training.assembly import make_agent
 

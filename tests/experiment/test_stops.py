@@ -12,12 +12,11 @@ from typing import Any
 import pytest
 from support.states import assert_same_runs
 
-from karolos import checkpoint
-from karolos.experiment import announcer
+from karolos.experiment import events
 from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import StopRequestedError, stop_on_signals
 from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 from karolos.store import Store
 
 REACH: dict[str, Any] = {
@@ -95,8 +94,8 @@ def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal
 def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(announcer, "WRITE_SECONDS", 0.0)
-    monkeypatch.setattr(announcer, "ADVANCE_SECONDS", 0.0)
+    monkeypatch.setattr(events, "WRITE_SECONDS", 0.0)
+    monkeypatch.setattr(events, "ADVANCE_SECONDS", 0.0)
     steps: list[tuple[int, int]] = []
 
     def look(event: object) -> None:

@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from support.exported_policies import CASES, asked, trained
 
-from karolos import checkpoint
 from karolos.core import Agent
 from karolos.core.deployed import Deployed, Layer
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy
 from karolos.export.onnx_file import run_onnx
+from karolos.records import checkpoint
 from karolos.registry import load, names
 
 pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once

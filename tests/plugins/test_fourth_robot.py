@@ -11,7 +11,7 @@ import pytest
 from support.fourth_robot import small_arm
 
 from karolos.errors import PluginError
-from karolos.evaluation.playing import score
+from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
 from karolos.plugins.contracts.joined import CONTROLS, goes_with, join, joined, reaching, refusal
@@ -49,7 +49,7 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
         assert "where its tool can be turned" in str(refusal(robot, candidate("tasks", task)))
         pytest.skip("it does not say where its tool can be turned")
     with joined(robot, candidate("tasks", task)) as made:
-        found = score(made, expert_policy(made), episodes=10, seed=0)
+        found = evaluate(made, expert_policy(made), episodes=10, seed=0)
         assert made.divergences == 0
     assert found.success_end >= ENOUGH.get(task, 0.1)
 
@@ -77,7 +77,7 @@ def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_r
                 join(bare, candidate("tasks", task))
             continue
         with joined(bare, candidate("tasks", task)) as made:
-            assert score(made, expert_policy(made), episodes=5, seed=0).success_end >= 0.8, task
+            assert evaluate(made, expert_policy(made), episodes=5, seed=0).success_end >= 0.8, task
 
 
 def test_a_light_wrist_with_the_damping_that_exporters_write_is_still(tmp_path: Path) -> None:

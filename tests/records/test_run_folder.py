@@ -4,17 +4,19 @@ import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta, timezone
 from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from support.run_samples import SPEC, new_run, result
 
 from karolos.errors import MachineError, RunError
-from karolos.records import RunFolder, scan
-from karolos.records.results import TestCounts
+from karolos.files import read_values
+from karolos.records import RunFolder, run_folder, scan
+from karolos.records.run_records import timestamp
 
 
 def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -148,9 +150,27 @@ def test_torn_test_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
     assert run.tests() == (result(100, 3),)
     problems = run.record().problems
     assert problems == ("tests.jsonl:2: not a test; left out", "tests.jsonl:3: the last line is torn; left out")
-    assert run.record().tests == (TestCounts.of(result(100, 3)),)
+    assert run.record().tests == (result(100, 3).counts,)
     run.add_test(result(300, 4))
     assert run.tests() == (result(100, 3), result(300, 4))
+
+
+def test_the_process_that_runs_it_reads_its_tests_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[str] = []
+    monkeypatch.setattr(
+        run_folder, "read_values", lambda path, *more: read.append(path.name) or read_values(path, *more)
+    )
+    with new_run(tmp_path) as run:
+        for steps in (100, 200, 300):
+            run.add_test(result(steps, 3))
+            assert [test.steps for test in run.record().tests][-1] == steps
+        assert read == ["tests.jsonl"]
+        run.cut_tests(200)
+        assert run.tests() == (result(100, 3), result(200, 3))
+    with RunFolder.open(run.path) as other:
+        other.lock()
+        other.add_test(result(300, 4))
+    assert run.tests() == (result(100, 3), result(200, 3), result(300, 4))
 
 
 def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path: Path) -> None:
@@ -184,7 +204,7 @@ def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path: P
 def test_to_95_counts_success_at_the_end_and_says_when_any_is_meant(tmp_path: Path) -> None:
     run = new_run(tmp_path)
     for steps, end in ((100, 4), (200, 10), (300, 19)):
-        run.add_test(replace(result(steps, 20), end=tuple(k < end for k in range(20))))
+        run.add_test(result(steps, 20, end=end))
     found = run.summary()
     assert (found.steps_to_95, found.seconds_to_95) == (300, 3.0)
     assert (found.steps_to_95_any, found.seconds_to_95_any) == (100, 1.0)
@@ -210,3 +230,11 @@ def test_folder_of_a_newer_karolos_is_told(tmp_path: Path) -> None:
     (run.path / "run.json").write_text(text)
     with pytest.raises(RunError, match="newer karolos made this run folder; update"):
         RunFolder.open(run.path)
+
+
+@given(st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1)), st.timedeltas(), st.integers(-12, 12))
+def test_timestamps_sort_like_times(first: datetime, later: timedelta, hours: int) -> None:
+    ours = first.replace(tzinfo=timezone(timedelta(hours=hours)))
+    theirs = ours.astimezone(UTC) + abs(later) % timedelta(days=9000)
+    assert (timestamp(ours) < timestamp(theirs)) == (ours < theirs)
+    assert (timestamp(ours) == timestamp(theirs)) == (ours == theirs)

@@ -12,8 +12,8 @@ from support.compared_runs import CURVES, contender, run
 from karolos.comparison import Comparison, Contender, compare
 from karolos.errors import MachineError, UsageError
 from karolos.report import comparison_figures as figures
-from karolos.report.comparison_tables import verdict
 from karolos.report.figures import COLOURS, Drawing, short, write_figures
+from karolos.report.tables import verdict
 
 NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density__x_1_b_"]
 

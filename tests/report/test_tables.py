@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import io
+import math
 from dataclasses import replace
 
 import pytest
@@ -8,18 +9,18 @@ from karolos_cli.output import rich_table
 from rich.console import Console
 from support.compared_runs import run
 
-from karolos.records.results import TestCounts, TestResult
+from karolos.records.evaluation import Evaluation
 from karolos.report.tables import (
     Table,
     clean,
     count,
     csv_text,
     duration,
+    evaluations_table,
     facts_table,
     runs_table,
     settings_table,
     success,
-    table_of_tests,
 )
 
 TESTED = {"success_any": 0.97, "success_end": 0.9, "steps_to_95": 6000, "seconds_to_95": 12.0}
@@ -58,12 +59,12 @@ def test_columns_without_a_value_are_left_out_and_returns_stand_alone_where_noth
     assert row(runs_table([returns])).items() >= {"return": "-1,234.57", "best return": "-130.00"}.items()
     both = row(runs_table([returns, replace(RUN, mean_return=-3.0)]))
     assert (both["return"], both["success end"], "best return" in both) == ("-1,234.57", "-", False)
-    tests = table_of_tests([TestCounts(1000, 100.0, 20, None, None, None, -12.5)])
+    tests = evaluations_table([Evaluation(1000, 100.0, 20, None, None, None, -12.5)])
     assert list(tests.columns) == ["steps", "time", "return", "episodes"]
 
 
 def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goal() -> None:
-    counts = TestCounts(1000, 100.0, 20, 18, 0, 3, -12.5)
+    counts = Evaluation(1000, 100.0, 20, 18, 0, 3, -12.5)
     expected = {
         "steps": "1,000",
         "time": "1 min 40 s",
@@ -73,10 +74,8 @@ def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goa
         "episodes": "20",
         "solved at reset": "3",
     }
-    assert row(table_of_tests([counts])) == expected
-    flags = (True, False, False, False)
-    far = TestResult(1000, 100.0, flags, flags, flags, (0.0,) * 4, (9,) * 4, (0.04, 0.09, 0.2, float("inf")))
-    table = table_of_tests([counts, replace(counts, steps=2000)], [far])
+    assert row(evaluations_table([counts])) == expected
+    table = evaluations_table([replace(counts, distances=(0.04, 0.09, 0.2, math.inf) * 5), counts])
     assert row(table) == expected | {"end within 0.05 / 0.10 / 0.25 m": "0.25 / 0.50 / 0.75"}
     assert table.rows[1][-1] == "-"
 

@@ -15,7 +15,7 @@ from support.spec_files import problems_of, write
 from support.toy_runs import run_of
 
 from karolos.errors import PluginError, UsageError
-from karolos.evaluation.playing import score
+from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import candidate
 from karolos.plugins.contracts.joined import join, joined, refusal
@@ -63,7 +63,8 @@ def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path: Path) -> None:
 @pytest.mark.parametrize(("robot", "task"), [*product(ROBOTS, ["pick_place"]), ("ur5", "stack")])
 def test_experts_pick_and_stack_with_a_suction_cup(robot: str, task: str) -> None:
     with joined(candidate("robots", robot, gripper="vacuum"), candidate("tasks", task)) as environment:
-        found = score(environment, expert_policy(environment), episodes=20 if task == "pick_place" else 2, seed=0)
+        count = 20 if task == "pick_place" else 2
+        found = evaluate(environment, expert_policy(environment), episodes=count, seed=0)
     assert found.success_end >= 0.95
 
 

@@ -1,4 +1,8 @@
+"""Statistics over seeds, against scipy and samples worked out by hand."""
+
 from __future__ import annotations
+
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -6,9 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 from scipy.integrate import simpson
+from scipy.stats import CensoredData, ecdf
 
+from karolos.core.seeding import SeedTree
+from karolos.statistics import aggregates
 from karolos.statistics.density import SMALLEST_BANDWIDTH, bandwidth, integral, kde
 from karolos.statistics.intervals import wilson
+from karolos.statistics.reaching import first_reaching, kaplan_meier, median_reaching, median_time
+from karolos.statistics.transfer import area_under_curve, forward_transfer, median_time_ratio, ratio_of_means
 
 ratios = st.lists(st.floats(0, 1), min_size=1, max_size=20)
 
@@ -101,3 +110,161 @@ def test_values_that_are_no_ratios_are_refused(values: list[float]) -> None:
 def test_even_number_of_points_is_refused() -> None:
     with pytest.raises(ValueError, match="odd number"):
         integral([1, 2])
+
+
+RATIO = st.floats(0, 1, allow_nan=False)
+
+
+def generator(seed: int = 0) -> np.random.Generator:
+    return SeedTree(seed).generator()
+
+
+@given(st.lists(RATIO, min_size=1, max_size=23))
+def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values: list[float]) -> None:
+    assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
+
+
+def test_many_values_have_the_same_mean_and_interval_in_little_memory() -> None:
+    values = generator().random(9_000)
+    assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
+    assert np.isnan(aggregates.iqm(np.append(values, np.nan)))
+    drawn = generator(1).integers(0, 9_000, (aggregates.RESAMPLES, 9_000))
+    whole = np.quantile(values[drawn].mean(1), aggregates.LEVELS, method="inverted_cdf")
+    tracemalloc.start()
+    assert aggregates.paired_interval([values], aggregates.mean, generator(1)) == tuple(whole)
+    assert tracemalloc.get_traced_memory()[1] < 50e6
+    tracemalloc.stop()
+
+
+def test_inter_quartile_mean_is_unknown_where_a_value_is() -> None:
+    found = aggregates.iqm([[0.1, 0.2, 0.3, 0.4], [0.1, np.nan, 0.3, 0.4]])
+    assert found == pytest.approx([0.25, np.nan], nan_ok=True)
+
+
+@given(st.lists(RATIO, min_size=1, max_size=9), st.lists(RATIO, min_size=1, max_size=9))
+def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs: list[float]) -> None:
+    found = aggregates.improvement(ours, theirs)
+    u = stats.mannwhitneyu(ours, theirs).statistic
+    assert found == pytest.approx(u / (len(ours) * len(theirs)), abs=1e-12)
+    assert found + aggregates.improvement(theirs, ours) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    ("seeds", "worth"), [(1, "none"), (4, "none"), (5, "approximate"), (9, "approximate"), (10, "usual")]
+)
+def test_intervals_are_given_for_five_seeds_or_more(seeds: int, worth: str) -> None:
+    values = np.linspace(0.2, 0.8, seeds)
+    found = aggregates.paired_interval([values], aggregates.mean, generator())
+    assert aggregates.reliability(seeds) == worth
+    assert (found is None) == (worth == "none")
+    assert (aggregates.improvement_interval(values, values, generator()) is None) == (worth == "none")
+
+
+def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says() -> None:
+    draw = generator(1)
+    covered = 0
+    for _ in range(200):
+        low, high = aggregates.paired_interval([draw.normal(0.5, 0.1, 10)], aggregates.mean, draw) or (0, 0)
+        covered += low <= 0.5 <= high
+    assert 0.82 <= covered / 200 <= 0.97  # a percentile interval of ten values is a little narrow: .90 in theory
+
+
+def test_interval_is_the_same_for_the_same_generator() -> None:
+    values = [0.1, 0.5, 0.6, 0.7, 0.9]
+    assert aggregates.paired_interval([values], aggregates.iqm, generator()) == aggregates.paired_interval(
+        [values], aggregates.iqm, generator()
+    )
+
+
+def test_profile_falls_from_all_to_none() -> None:
+    found = aggregates.profile([0.2, 0.5, 1.0], [0, 0.2, 0.21, 0.6, 1.0])
+    assert found.tolist() == pytest.approx([1, 1, 2 / 3, 1 / 3, 1 / 3])
+
+
+WEEKS = [6, 6, 6, 6, 7, 9, 10, 10, 11, 13, 16, 17, 19, 20, 22, 23, 25, 32, 32, 34, 35]
+RELAPSED = [1, 1, 1, 0, 1, 0, 1, 0, 0, 1, 1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 0]
+"""Weeks of remission of 21 patients under 6-MP (Freireich et al. 1963), the textbook example; 0: censored."""
+TABLE = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.448}
+"""The product-limit table of these, worked by hand: 18/21, times 16/17, 14/15, 11/12, 10/11, 6/7, 5/6."""
+
+
+def test_kaplan_meier_is_the_table_worked_by_hand() -> None:
+    shuffled = np.random.default_rng(0).permutation(len(WEEKS))
+    times, remaining = kaplan_meier(np.array(WEEKS)[shuffled], np.array(RELAPSED)[shuffled])
+    for week, fraction in TABLE.items():
+        assert remaining[np.flatnonzero(times == week)[-1]] == pytest.approx(fraction, abs=5e-4)
+    assert median_time(WEEKS, RELAPSED) == 23
+
+
+def test_kaplan_meier_is_that_of_scipy() -> None:
+    generator = np.random.default_rng(1)
+    for size in (1, 2, 5, 40):
+        times = generator.integers(1, 12, size).astype(float)
+        reached = generator.random(size) < 0.6
+        theirs = ecdf(CensoredData(times[reached], right=times[~reached])).sf
+        ours, remaining = kaplan_meier(times, reached)
+        for time, fraction in zip(theirs.quantiles, theirs.probabilities, strict=True):
+            assert remaining[np.flatnonzero(ours == time)[-1]] == pytest.approx(fraction)
+
+
+@pytest.mark.parametrize(
+    ("times", "reached", "median"),
+    [
+        ([3, 1, 2], [1, 1, 1], 2),
+        ([1, 2, 3, 4], [1, 1, 1, 1], 2.5),  # one half has reached it until the next one does
+        ([1, 9, 9], [1, 0, 0], np.inf),
+        ([1, 9, 5], [1, 0, 1], 5),
+        ([5, 5], [0, 1], np.inf),  # a run that ends when another one reaches it still counts as observed
+        ([2, 5, 7], [0, 1, 1], 6),
+    ],
+)
+def test_median_of_runs_of_which_some_never_got_there(times: list[int], reached: list[int], median: float) -> None:
+    assert median_time(times, reached) == median
+    stacked = median_time(np.tile(times, (4, 1)), np.tile(reached, (4, 1)))
+    assert stacked.tolist() == [median] * 4
+
+
+def test_first_reaching_is_the_first_test_at_or_over_the_threshold() -> None:
+    assert first_reaching([0.1, 0.5, 0.4, 0.9], [10, 20, 30, 40], 0.5) == 20
+    assert first_reaching([0.1, 0.4], [10, 20], 0.5) is None
+
+
+@pytest.mark.parametrize(
+    ("places", "median"),
+    [([10, 30, None], 30), ([10, None, None], None), ([10, 20], 15), ([10, None], None), ([None], None), ([7], 7)],
+)
+def test_seeds_that_never_reach_a_threshold_count_last(places: list[float | None], median: float | None) -> None:
+    assert median_reaching(places) == median
+
+
+def test_ratio_of_median_times_is_infinite_zero_or_unknown_where_they_are_infinite() -> None:
+    assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 100, 300], [1, 1, 0]) == pytest.approx(0.2)
+    assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 300, 300], [1, 0, 0]) == 0
+    assert median_time_ratio([30, 30, 30], [0, 0, 0], [100, 100, 300], [1, 1, 0]) == np.inf
+    assert np.isnan(median_time_ratio([30], [0], [100], [0]))
+
+
+def test_forward_transfer_is_that_of_continual_world() -> None:
+    """AUC_i is the mean success over the training steps of task i, by Riemann sums over a fine grid."""
+    steps = np.array([0.0, 100.0, 200.0, 400.0])
+    tuned, scratch = np.array([0.5, 0.9, 1.0, 1.0]), np.array([0.0, 0.1, 0.6, 0.8])
+    grid = np.linspace(0, 400, 400_001)
+    auc, auc_scratch = (np.interp(grid, steps, curve).mean() for curve in (tuned, scratch))
+    areas = [[area_under_curve(steps, curve, 0, 400)] for curve in (tuned, scratch)]
+    assert np.ravel(areas) == pytest.approx([auc, auc_scratch], abs=1e-5)
+    assert forward_transfer(*areas) == pytest.approx((auc - auc_scratch) / (1 - auc_scratch), abs=1e-5)
+    assert forward_transfer([1.0, 1.0], [0.2, 0.4]) == 1
+    assert forward_transfer([0.1], [0.4]) == pytest.approx(-0.5)
+    assert np.isnan(forward_transfer([1.0], [1.0]))
+
+
+def test_area_is_cut_at_any_step_and_a_single_test_is_its_own_mean() -> None:
+    assert area_under_curve([100, 300], [0.2, 0.6], 200, 300) == pytest.approx(0.5)
+    assert area_under_curve([100, 300], [0.2, 0.6], 100, 500) == pytest.approx((0.4 * 200 + 0.6 * 200) / 400)
+    assert area_under_curve([100, 300], [0.2, 0.6], 300, 300) == 0.6
+
+
+def test_retention_is_a_ratio_of_means_over_paired_seeds() -> None:
+    assert ratio_of_means([0.9, 0.3], [1.0, 0.5]) == pytest.approx(1.2 / 1.5)
+    assert np.isnan(ratio_of_means([0.1], [0.0]))
+    assert ratio_of_means(np.ones((3, 2)), np.full((3, 2), 0.5)).tolist() == [2, 2, 2]

@@ -1,21 +1,30 @@
+"""What the index keeps, what it finds, how it is asked, and what it refuses."""
+
 from __future__ import annotations
 
+import resource
 import shutil
+import sqlite3
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
-from sqlalchemy import select
+from sqlalchemy import create_engine, make_url, select, update
 from support.databases import KINDS, empty_database
-from support.run_samples import SPEC, bare, indexed_run, result, stored
+from support.run_samples import SPEC, bare, indexed_run, new_run, result, stored
 
-from karolos.errors import NoSuchRunError, StoreError, UsageError
-from karolos.records import RunFolder
-from karolos.records.results import TestCounts
-from karolos.store import Store
-from karolos.store.summaries import success_densities
-from karolos.store.tables import SUCCESSES
+from karolos.errors import MachineError, NoSuchRunError, StoreError, UsageError
+from karolos.records import RunFolder, labels
+from karolos.records.evaluation import Evaluation
+from karolos.records.run_records import RunSummary
+from karolos.statistics.density import kde
+from karolos.store import Store, query
+from karolos.store.database import explained
+from karolos.store.experiments import success_densities
+from karolos.store.tables import SCHEMA, SUCCESSES
 
 
 @pytest.fixture
@@ -33,12 +42,12 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
         run.add_test(each)
     run.set_state("finished", steps=210, seconds=1 / 3)
     store.add_records([run.record()])
-    assert store.find(run.id) == run.summary()
-    found = store.find(run.id)
+    assert query.find(store, run.id) == run.summary()
+    found = query.find(store, run.id)
     assert (found.steps_to_95, found.steps_to_95_any) == (100, 200)
     assert stored(store, run.id).tests == (
-        TestCounts(100, 1.0, 20, 3, 20, 0, -1.5),
-        TestCounts(200, 2.0, 20, 19, 20, 0, -1.5),
+        Evaluation(100, 1.0, 20, 3, 20, 0, -1.5),
+        Evaluation(200, 2.0, 20, 19, 20, 0, -1.5),
     )
 
 
@@ -48,17 +57,17 @@ def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_p
         run.add_test(each)
     store.add_records([run.record()])
     success_densities(store, "abc", "any", {100: [0.15]})
-    with store.database.writing() as connection:
+    with store.writing() as connection:
         for change in ("INSERT", "UPDATE", "DELETE"):
             row = "old.steps" if change == "DELETE" else "new.steps"
             rule = f"WHEN {row} < 300 BEGIN SELECT RAISE(ABORT, 'written again'); END"
             connection.exec_driver_sql(f"CREATE TRIGGER refuse_{change} BEFORE {change} ON tests {rule}")
     run.set_state("failed", steps=210)
     store.add_records([run.record()])
-    assert len(store.database.fetch(select(SUCCESSES))) == 1
+    assert len(store.fetch(select(SUCCESSES))) == 1
     run.add_test(result(300, 7))
     store.add_records([run.record()])
-    assert store.database.fetch(select(SUCCESSES)) == []
+    assert store.fetch(select(SUCCESSES)) == []
     assert stored(store, run.id).tests == run.record().tests
 
 
@@ -114,7 +123,7 @@ def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Pat
     run.release()
     assert store.runs(state="running") == ()
     assert [found.state for found in store.runs(state="lost")] == ["lost"]
-    assert store.find(run.id).state == "lost"
+    assert query.find(store, run.id).state == "lost"
 
 
 def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store: Store, tmp_path: Path) -> None:
@@ -135,24 +144,24 @@ def test_unfinished_run_without_a_folder_stays_as_indexed(store: Store) -> None:
 
 def test_selector_means_one_run(store: Store) -> None:
     with pytest.raises(UsageError, match="there are no runs yet"):
-        store.find("@last")
+        query.find(store, "@last")
     first = bare(store, "reach-s0-1", created="2026-01-01")
     second = bare(store, "reach-s0-1-2", created="2026-01-02")
     other = bare(store, "push-s0-1", created="2026-01-03", folder="/nowhere/push-s0-1")
-    assert store.find("reach-s0-1") == first  # an id, though it begins another
-    assert store.find("reach-s0-1-") == second
-    assert store.find("pu") == other
-    assert store.find("@last") == other
-    assert store.find("/nowhere/push-s0-1/") == other
+    assert query.find(store, "reach-s0-1") == first  # an id, though it begins another
+    assert query.find(store, "reach-s0-1-") == second
+    assert query.find(store, "pu") == other
+    assert query.find(store, "@last") == other
+    assert query.find(store, "/nowhere/push-s0-1/") == other
     with pytest.raises(UsageError, match="means several runs; one of reach-s0-1-2, reach-s0-1; or @last"):
-        store.find("reach")
+        query.find(store, "reach")
     for nothing in ("pull", "", "..", "/", "%", "PUSH", "runs/push-s0-1", "/nowhere/pu"):
         with pytest.raises(UsageError, match=r"means no run; `karolos runs list`"):
-            store.find(nothing)
+            query.find(store, nothing)
     for index in range(6):
         bare(store, f"y{index}")
     with pytest.raises(UsageError, match=r"several runs; one of (y\d, ){4}y\d \.\.\.; or @last"):
-        store.find("y")
+        query.find(store, "y")
 
 
 def test_path_of_a_run_folder_means_no_other_run(store: Store, tmp_path: Path) -> None:
@@ -160,11 +169,11 @@ def test_path_of_a_run_folder_means_no_other_run(store: Store, tmp_path: Path) -
     copy = shutil.copytree(run.path, tmp_path / "elsewhere" / run.id)
     (tmp_path / "link").symlink_to(run.path)
     for path in (run.path, tmp_path / "link"):
-        assert store.select(str(path)) == (run.summary(),)
+        assert query.select(store, str(path)) == (run.summary(),)
     with pytest.raises(NoSuchRunError, match=r"the run folder .* is not in the index; name its runs folder"):
-        store.select(str(copy))
+        query.select(store, str(copy))
     with pytest.raises(NoSuchRunError, match="means no run"):
-        store.select(str(tmp_path / "elsewhere" / "reach"))
+        query.select(store, str(tmp_path / "elsewhere" / "reach"))
 
 
 # Many at once.
@@ -176,10 +185,10 @@ from pathlib import Path
 from karolos.records import labels
 from karolos.store import Store
 from karolos.records import RunFolder
-from karolos.records.results import TestResult
+from karolos.records.evaluation import Evaluation
 
 runs, url, start = Path(sys.argv[1]), sys.argv[2], os.pipe()
-children = []
+children, flags = [], {name: (True,) for name in ("any", "end", "reset")}
 for index in range(20):
     child = os.fork()
     if not child:
@@ -190,7 +199,7 @@ for index in range(20):
         with Store(url) as store:
             store.add_records([run.record()])
             for steps in range(5):
-                run.add_test(TestResult(steps, 1.0, (True,), (True,), (False,), (0.0,), (1,)))
+                run.add_test(Evaluation.of(steps, 1.0, **flags, returns=(0.0,), lengths=(1,)))
                 run.set_state("running", steps=steps)
                 store.add_records([run.record()])
             run.set_state("finished", steps=5)
@@ -225,3 +234,309 @@ def test_sqlite_on_a_network_share_is_refused(tmp_path: Path, monkeypatch: pytes
     monkeypatch.setattr("karolos.system.network_share", lambda path: "nfs4")
     with pytest.raises(StoreError, match=r"SQLite loses data on a network share \(nfs4\)"):
         Store(Store.default_url(tmp_path))
+
+
+@pytest.fixture(params=KINDS)
+def any_store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with empty_database(request.param, tmp_path) as url, Store(url) as found:
+        yield found
+
+
+def add(any_store: Store, runs: Path, seed: int, rate: float = 0.001, experiment: str = "a" * 64) -> RunFolder:
+    spec = {"task": {"name": "reach"}, "agent": {"name": "sac", "learning_rate": rate, "hidden": [8, 8]}}
+    with new_run(runs, f"exp-{experiment[0]}", seed, spec={"name": "x"} | spec, experiment=experiment) as run:
+        run.set_state("finished", steps=100 * seed)
+        any_store.add_records([run.record()])
+        return run
+
+
+def seeds(any_store: Store, where: str) -> list[int]:
+    return sorted(run.seed for run in any_store.runs(where=where))
+
+
+def test_filters_know_columns_settings_labels_and_versions(any_store: Store, tmp_path: Path) -> None:
+    first, second, third = (
+        add(any_store, tmp_path, 1),
+        add(any_store, tmp_path, 2, 1e-4),
+        add(any_store, tmp_path, 3, 1e-4),
+    )
+    labels.add_tags(first.path, ["good", "to show"])
+    labels.set_note(second.path, 'fell "over"')
+    before = any_store.version()
+    assert any_store.runs()
+    assert any_store.version() == before
+    for run in (first, second):
+        any_store.refresh_labels(run)
+    assert any_store.version() != before, "a reader notices"
+    third.set_state("running")  # and nobody runs it
+    any_store.add_records([third.record()])
+    assert seeds(any_store, "task=reach and agent.learning_rate<1e-3") == [2, 3]
+    assert seeds(any_store, "agent.learning_rate<1e-3 and state=finished") == [2]
+    assert seeds(any_store, "state=lost") == [3]
+    assert seeds(any_store, "tags=good") == seeds(any_store, "tags ~ SHOW") == [1]
+    assert seeds(any_store, "tags != good") == [2, 3]
+    assert seeds(any_store, "note ~ over") == seeds(any_store, """note = 'fell "over"'""") == [2]
+    assert seeds(any_store, "note = null") == [1, 3]
+    assert seeds(any_store, "agent.hidden = '[8, 8]' and seed >= 2") == [2, 3]
+    assert seeds(any_store, "steps in (100, 300) or seed = 2") == [1, 2, 3]
+    assert seeds(any_store, f"versions.karolos = {first.record().versions['karolos']}") == [1, 2, 3]
+    assert seeds(any_store, f"folder = '{first.path}'") == [1]
+    assert seeds(any_store, "created > 2020-01-01") == [1, 2, 3]
+    assert [run.seed for run in any_store.runs(where="task=reach", limit=2)] == [3, 2]
+    assert any_store.runs(where="tags=good") == (first.summary(),)
+
+
+@pytest.mark.parametrize(
+    ("where", "told"),
+    [
+        ("stat=finished", "filter, column 1: no run has 'stat'; did you mean state"),
+        (
+            "seed=1 and learning_rate<1",
+            "filter, column 12: no run has 'learning_rate'; did you mean agent.learning_rate",
+        ),
+        ("versions.karlos=1", "no run has 'versions.karlos'; did you mean versions.karolos"),
+        ("seed>one", "filter, column 6: 'one' is not a number, as seed is"),
+        ("zzzzzzzz=1", "no run has 'zzzzzzzz'; `karolos runs show RUN` shows"),
+    ],
+)
+def test_a_filter_that_can_match_no_run_says_why(any_store: Store, tmp_path: Path, where: str, told: str) -> None:
+    add(any_store, tmp_path, 1)
+    with pytest.raises(UsageError) as caught:
+        any_store.runs(where=where)
+    assert told in str(caught.value)
+
+
+def test_selector_means_a_run_or_all_of_an_experiment(any_store: Store, tmp_path: Path) -> None:
+    ab, ac = "ab" * 32, "abac" * 16
+    runs = [add(any_store, tmp_path, seed, experiment=ab if seed < 3 else ac) for seed in (1, 2, 3)]
+    first, second, third = (run.summary() for run in runs)
+    assert query.select(any_store, "exp-a") == (third, second, first)
+    assert query.select(any_store, "ababab") == (second, first)
+    assert query.select(any_store, "abacab") == (third,)
+    assert query.select(any_store, "@last-1") == (second,)
+    assert query.select(any_store, first.run) == (first,)
+    assert query.select(any_store, first.run[:8]) == (first,)
+    assert query.find(any_store, "abacab") == third
+    with pytest.raises(UsageError, match="'ababab' means several runs"):
+        query.find(any_store, "ababab")
+    with pytest.raises(UsageError, match=r"'@last-3' means no run; there are 3, from @last on"):
+        query.select(any_store, "@last-3")
+    with pytest.raises(UsageError, match="'exp-' means several runs"):
+        query.select(any_store, "exp-")
+    with pytest.raises(UsageError, match="'ffffff' means no run"):
+        query.select(any_store, "ffffff")
+
+
+def test_hash_that_begins_several_experiments_names_them(any_store: Store) -> None:
+    for tail in "12":
+        bare(any_store, f"run{tail}", experiment="abcdef" + tail * 58)
+    with pytest.raises(UsageError, match="'abcdef' begins several experiments; add digits: abcdef111111, abcdef222222"):
+        query.select(any_store, "abcdef")
+
+
+def stored_densities(any_store: Store) -> list[tuple[float, int, float]]:
+    rows = any_store.fetch(select(SUCCESSES).order_by(SUCCESSES.c.steps))
+    return [(row.steps, row.runs, row.mode) for row in rows]
+
+
+def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(any_store: Store, tmp_path: Path) -> None:
+    runs = [add(any_store, tmp_path, seed) for seed in (1, 2, 3)]
+    ratios = {100.0: [1.0, 0.9, 0.2], 200.5: [0.5, 0.5, 0.5]}
+    first = success_densities(any_store, "a" * 64, "end", ratios)
+    for density, values in zip(first, ratios.values(), strict=True):
+        for name, value in vars(kde(values)).items():
+            assert np.array_equal(getattr(density, name), value)
+    assert stored_densities(any_store) == [(100.0, 3, first[0].mode), (200.5, 3, 0.5)]
+    with any_store.writing() as connection:
+        connection.execute(update(SUCCESSES).values(mode=0.125))
+    again = success_densities(any_store, "a" * 64, "end", ratios)
+    assert [one.mode for one in again] == [0.125, 0.125], "read, not computed"
+    assert np.array_equal(again[0].density, first[0].density)
+    [other] = success_densities(any_store, "a" * 64, "end", {100.0: [1.0, 0.9, 0.3]})
+    assert other.mode == kde([1.0, 0.9, 0.3]).mode, "of other ratios"
+    for change in (
+        lambda: any_store.remove_runs([runs[0].id]),
+        lambda: any_store.add_records([runs[0].record()]),
+    ):
+        success_densities(any_store, "a" * 64, "any", ratios)
+        change()
+        assert stored_densities(any_store) == []
+
+
+def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
+    with Store(Store.default_url(tmp_path)) as any_store:
+        run = add(any_store, tmp_path, 1)
+
+        def read_only(connection: sqlite3.Connection, _: object) -> None:
+            connection.execute("PRAGMA query_only = ON")
+
+        from sqlalchemy import event
+
+        event.listen(any_store.engine, "connect", read_only)
+        assert [one.mode for one in success_densities(any_store, "a" * 64, "end", {100: [1.0]})] == [1.0]
+        assert any_store.runs(where="task=reach") == (run.summary(),)
+        with pytest.raises(StoreError, match="the database is read-only"):
+            any_store.add_records([run.record()])
+
+
+def database(store: Store) -> sqlite3.Connection:
+    return sqlite3.connect(store.url.database or "", isolation_level=None, timeout=0)
+
+
+def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
+    run = indexed_run(store, tmp_path)
+    with database(store) as other:
+        other.execute("BEGIN EXCLUSIVE")
+        with pytest.raises(StoreError, match=r"karolos\.sqlite: another process keeps the database locked; wait for"):
+            store.add_records([run.record()])
+        with pytest.raises(StoreError, match="another process keeps the database locked"):
+            store.runs()
+        other.execute("ROLLBACK")
+    store.add_records([run.record()])
+
+
+def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
+    run = indexed_run(store, tmp_path)
+    with database(store) as other:
+        other.execute("BEGIN IMMEDIATE")
+        assert [found.run for found in store.runs()] == [run.id]
+
+
+@pytest.mark.parametrize(
+    ("version", "told"), [(SCHEMA + 1, "a newer .*; move it away and run"), (0, "an older .*; `karolos db upgrade`")]
+)
+def test_database_of_another_schema_is_refused_and_not_touched(store: Store, version: int, told: str) -> None:
+    with database(store) as other:
+        other.execute("UPDATE karolos_schema SET version = ?", [version])
+    other.close()
+    content = Path(store.url.database or "").read_bytes()
+    with pytest.raises(StoreError, match=told):
+        Store(str(store.url))
+    assert Path(store.url.database or "").read_bytes() == content
+
+
+def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "other.sqlite") as other:
+        other.execute("CREATE TABLE alembic_version (x)")
+    other.close()
+    content = (tmp_path / "other.sqlite").read_bytes()
+    with pytest.raises(
+        StoreError, match=r"other\.sqlite: this database belongs to another program; .*`karolos db reindex`"
+    ):
+        Store(f"sqlite:///{tmp_path}/other.sqlite")
+    assert (tmp_path / "other.sqlite").read_bytes() == content
+
+
+def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "karolos.sqlite").write_text("steps,success\n" * 100)
+    with pytest.raises(StoreError, match=r"the file is not a database; name another"):
+        Store(Store.default_url(tmp_path))
+    assert (tmp_path / "karolos.sqlite").read_text().startswith("steps,success")
+
+
+def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
+    for _ in range(50):
+        bare(store, f"x{_}")
+    path = Path(store.url.database or "")
+    data = bytearray(path.read_bytes())
+    for page in range(1, len(data) // 4096):
+        data[page * 4096 : page * 4096 + 64] = b"\xff" * 64
+    path.write_bytes(data)
+    with pytest.raises(StoreError, match="the database is damaged; move it away and run"):
+        Store(str(store.url)).runs()
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ("UPDATE runs SET tags = '[1'", "a column does not hold JSON"),
+        ("UPDATE specs SET content = 'x'", "a column does not hold JSON"),
+        ("UPDATE runs SET tags = '5'", "the row of the run reach-s3-"),
+        ("UPDATE runs SET seed = 'x', steps = 'y'", "the row of the run reach-s3-"),
+    ],
+)
+def test_damaged_row_is_told(store: Store, tmp_path: Path, change: str, told: str) -> None:
+    indexed_run(store, tmp_path).release()
+    with database(store) as other:
+        other.execute(change)
+    with pytest.raises(StoreError, match=told):
+        store.records(store.runs())
+
+
+def test_read_only_database_is_told(tmp_path: Path) -> None:
+    with sqlite3.connect(tmp_path / "x.sqlite") as other:
+        other.execute("CREATE TABLE x (y)")
+    url = make_url(f"sqlite:///{tmp_path}/x.sqlite")
+    engine = create_engine("sqlite://", creator=lambda: sqlite3.connect(f"file:{tmp_path}/x.sqlite?mode=ro", uri=True))
+    with pytest.raises(StoreError, match=r"x\.sqlite: the database is read-only"), explained(url):  # noqa: SIM117
+        with engine.begin() as connection:
+            connection.exec_driver_sql("INSERT INTO x VALUES (1)")
+
+
+def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(store: Store, tmp_path: Path) -> None:
+    run = indexed_run(store, tmp_path)
+    Path(store.url.database or "").unlink()
+    with pytest.raises(StoreError, match="the database cannot be opened"):
+        store.add_records([run.record()])
+    assert not Path(store.url.database or "").exists()
+
+
+def test_folder_in_place_of_the_database_is_told(tmp_path: Path) -> None:
+    (tmp_path / "karolos.sqlite").mkdir()
+    with pytest.raises(StoreError, match="cannot be opened"):
+        Store(Store.default_url(tmp_path))
+
+
+def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("")
+    with pytest.raises(MachineError, match="a file is in the way of a folder"):
+        Store(Store.default_url(tmp_path / "runs"))
+
+
+@pytest.mark.parametrize(
+    "url", ["", "runs/karolos.sqlite", "sqlite://", "sqlite:///:memory:", "sqlite:///file:x?uri=true"]
+)
+def test_url_that_names_no_database_is_told(url: str) -> None:
+    with pytest.raises(StoreError, match=r"is not a database URL; e\.g\. sqlite|must name a file"):
+        Store(url)
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        "nosql://me:secret@host/x",
+        "postgresql+nodriver://me:secret@host/x?password=secret",
+        "me:secret@host://x",
+        "postgresql://me:secret@host:port/x",
+    ],
+)
+def test_driver_that_is_missing_is_told_without_the_password(url: str) -> None:
+    with pytest.raises(StoreError) as caught:
+        Store(url)
+    assert "secret" not in str(caught.value)
+
+
+def test_full_disk_is_told_and_loses_nothing_stored(store: Store) -> None:
+    stored: list[RunSummary] = []
+
+    def fill(store: Store) -> None:
+        for index in range(500):
+            stored.append(bare(store, f"x{index:02}", error="e" * 1000))
+
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, limits[1]))
+    try:
+        with pytest.raises(StoreError, match=r"full; free some space|full or fails; check the disk"):
+            fill(store)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert 0 < len(stored) < 500
+    assert set(store.runs()) == set(stored)
+
+
+def test_settings_of_sqlite_hold(store: Store) -> None:
+    with store.engine.connect() as connection:
+        pragmas = [connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("foreign_keys", "synchronous")]
+        assert pragmas == [1, 2]
+        assert connection.exec_driver_sql("PRAGMA journal_mode").scalar() == "delete"
+        assert connection.exec_driver_sql("PRAGMA busy_timeout").scalar() == 100

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from karolos.comparison import ComparedRun, Comparison, Contender, compare
-from karolos.records.results import TestCounts
-from karolos.records.run_records import RunSummary
+from karolos.comparison import Comparison, Contender, compare
+from karolos.records.evaluation import Evaluation
+from karolos.records.run_records import RunRecord
+from support import run_samples
 
 SPEC: dict[str, Any] = {
     "name": "reach",
@@ -32,14 +33,14 @@ def run(
     versions: Mapping[str, str] | None = None,
     commit: str | None = None,
     has_success: bool = True,
-    **summary: Any,
-) -> ComparedRun:
+    **values: Any,
+) -> RunRecord:
     """A run with a test every `interval` steps: so many episodes succeed at some step, half of them at the end.
 
     This number minus 200 is the return.
     """
     tests = tuple(
-        TestCounts(
+        Evaluation(
             place * interval,
             place * interval / rate,
             episodes,
@@ -48,26 +49,11 @@ def run(
         )
         for place, k in enumerate(successes, 1)
     )
-    values = {
-        "run": f"{name}-s{seed}",
-        "experiment": f"hash of {name}",
-        "seed": seed,
-        "state": "finished",
-        "steps": len(tests) * interval,
-        "seconds": len(tests) * interval / rate,
-        "updates": len(tests) * interval / rate * 50,
-        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95", "robot", "error"), None),
-        "name": name,
-        "episodes": episodes,
-        "environment": "robot_task",
-        "task": "reach",
-        "agent": "sac",
-        "attempt": 1,
-        "created": "2026-01-01T00:00:00.000000Z",
-        "updated": "2026-01-01T00:00:00.000000Z",
-        "folder": f"/nowhere/{name}-s{seed}",
-    }
-    return ComparedRun(RunSummary(**values | summary), tests, spec, versions or {}, commit)
+    steps = len(tests) * interval
+    usual = {"run": f"{name}-s{seed}", "experiment": f"hash of {name}", "seed": seed, "name": name, "steps": steps}
+    usual |= {"seconds": steps / rate, "updates": steps / rate * 50, "episodes": episodes, "task": "reach"}
+    usual |= {"environment": "robot_task", "agent": "sac", "folder": f"/nowhere/{name}-s{seed}"}
+    return RunRecord(run_samples.summary(**usual | values), spec, tests, versions or {}, commit)
 
 
 def contender(label: str, curves: Sequence[Sequence[int]], **options: Any) -> Contender:

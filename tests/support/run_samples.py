@@ -3,34 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from karolos.records import RunFolder
-from karolos.records.results import TestResult
+from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunRecord, RunSummary
-from karolos.store import Store
+from karolos.store import Store, query
 
 SPEC = {"name": "reach", "environment": {"name": "toy"}, "robot": None, "agent": {"name": "sac"}, "seeds": [3]}
 
 
 def result(
     steps: int, successes: int, episodes: int = 20, *, end: int | None = None, value: float = -1.5, **others: Any
-) -> TestResult:
+) -> Evaluation:
     """A test whose first episodes succeed at some step. As many succeed at the end, the last ones, or the first `end`.
 
     Every return is `value`.
     """
     flags = tuple(index < successes for index in range(episodes))
     ends = flags[::-1] if end is None else tuple(index < end for index in range(episodes))
-    never, returns, lengths = (False,) * episodes, (value,) * episodes, (9,) * episodes
-    return TestResult(steps, steps / 100, flags, ends, never, returns, lengths, **others)
+    usual = {"any": flags, "end": ends, "reset": (False,) * episodes, "returns": (value,) * episodes}
+    return Evaluation.of(steps, steps / 100, **usual | {"lengths": (9,) * episodes} | others)
 
 
-def new_run(runs: Path, name: str = "reach", seed: int = 3, **options: Any) -> RunFolder:
+def new_run(
+    runs: Path, name: str = "reach", seed: int = 3, *, spec: dict[str, Any] = SPEC, experiment: str = "abc", **more: Any
+) -> RunFolder:
     folder = RunFolder.create(runs, name, seed)
-    folder.describe(SPEC, experiment="abc", **options)
+    folder.describe(spec, experiment=experiment, **more)
     return folder
 
 
@@ -72,27 +73,24 @@ def add_run(
 
 def stored(store: Store, run: str) -> RunRecord:
     """What the index has of a run."""
-    (record,) = store.records([store.find(run)])
+    (record,) = store.records([query.find(store, run)])
     return record
 
 
+def summary(**values: Any) -> RunSummary:
+    """A finished run that has no folder any more."""
+    unknown = ("success_any", "success_end", "steps_to_95", "seconds_to_95", "episodes")
+    unknown += ("environment", "robot", "task", "agent", "error")
+    usual = {"run": "x", "experiment": "abc", "seed": 0, "state": "finished", "steps": 0, "seconds": 0.0, "name": "x"}
+    usual |= dict.fromkeys(("created", "updated"), "2026-01-01T00:00:00.000000Z") | {
+        "attempt": 1,
+        "folder": "/nowhere/x",
+    }
+    return RunSummary(**dict.fromkeys(unknown) | usual | values)
+
+
 def bare(store: Store, run: str, **values: Any) -> RunSummary:
-    """A run that has no folder any more."""
-    summary = RunSummary(
-        **dict.fromkeys(("success_any", "success_end", "steps_to_95", "seconds_to_95"), None),
-        **dict.fromkeys(("episodes", "environment", "robot", "task", "agent", "error"), None),
-        run=run,
-        experiment="abc",
-        seed=0,
-        state="finished",
-        steps=0,
-        seconds=0.0,
-        name="x",
-        attempt=1,
-        created="2026-01-01T00:00:00.000000Z",
-        updated="2026-01-01T00:00:00.000000Z",
-        folder="/nowhere/x",
-    )
-    summary = replace(summary, **values)
-    store.add_records([RunRecord(summary, SPEC, (), {})])
-    return summary
+    """The same in the index."""
+    found = summary(run=run, **values)
+    store.add_records([RunRecord(found, SPEC, (), {})])
+    return found

@@ -7,9 +7,8 @@ from typing import Any
 import numpy as np
 import torch
 
-from karolos import checkpoint
 from karolos.plugins.contracts.case import state_differences
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 
 
 def assert_same_state(one: object, other: object) -> None:

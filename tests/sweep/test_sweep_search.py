@@ -17,16 +17,15 @@ from support.processes import child_processes, killed_when
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.comparison import gather
-from karolos.errors import NoSuchRunError, RunError, StoreError, UsageError
+from karolos.errors import NoSuchRunError, RunError, UsageError
 from karolos.experiment.events import RunTested, RunWarned
 from karolos.files import FileLock
 from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Home, RunJob
 from karolos.records import RunFolder
-from karolos.records.sweep_records import read_sweep
+from karolos.records.sweep_records import find_sweep, read_sweep
 from karolos.specification import load_spec, spec_from_dict, spec_of_trial
-from karolos.store import Store, check, reindex
-from karolos.store.sweeps import Sweeps
+from karolos.store import Store, check, query, reindex
 from karolos.sweep.events import SweepOutcome, TrialBegan
 from karolos.sweep.objectives import measure_all
 from karolos.sweep.search import Search, samples
@@ -112,16 +111,16 @@ def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with
     runs = Path(killed.folder).parents[1]
     tuned, chosen, reported = (RunFolder.open(next(runs.glob(f"{killed.best.name}-s{seed}-*"))) for seed in (0, 1, 3))
     assert [folder.spec()["testing"]["seed"] for folder in (tuned, chosen, reported)] == [0, 0, 2_000_000]
-    assert [folder.final() is not None for folder in (tuned, chosen, reported)] == [False, False, True]
+    assert [bool(folder.final()) for folder in (tuned, chosen, reported)] == [False, False, True]
 
 
 def test_the_reported_value_is_that_of_the_final_test(killed):
     folder = RunFolder.open(next(Path(killed.folder).parents[1].glob(f"{killed.best.name}-s3-*")))
     job = RunJob(load_spec(Path(killed.folder) / "best.yaml"), Home(folder.path.parent, ""))
     job.read_tests(3, folder)
-    assert job.finals == {3: folder.final().last}
+    assert job.finals == {3: folder.final()["last"]}
     values = measure_all(("success_end", "return"), job)
-    assert values == (folder.final().last.success_end, folder.final().last.mean_return)
+    assert values == (folder.final()["last"].success_end, folder.final()["last"].mean_return)
 
 
 def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
@@ -157,14 +156,14 @@ def test_runs_of_a_trial_and_of_the_best_spec_that_are_selected_together_count_b
 
 def test_without_runs_the_name_of_the_best_spec_means_the_chosen_trial_or_says_how_to_make_them(copied):
     with Store(Store.default_url(copied)) as store:
-        sweep = store.sweeps.find("line")
-        assert store.select("line-best", or_trial=True) == store.runs(name=sweep.best.name)
+        sweep = find_sweep(copied, "line")
+        assert query.select(store, "line-best", or_trial=True) == store.runs(name=sweep.best.name)
         made = rf"'line-best' means no run; `karolos run {sweep.folder}/best.yaml` makes them"
         with pytest.raises(NoSuchRunError, match=made):
-            store.find("line-best")
-        store.sweeps.add([replace(sweep, final=None)])
+            query.find(store, "line-best")
+        (copied / "sweeps" / "line" / "final.json").unlink()
         with pytest.raises(NoSuchRunError, match=made):
-            store.select("line-best", or_trial=True)
+            query.select(store, "line-best", or_trial=True)
 
 
 @pytest.fixture
@@ -216,44 +215,23 @@ def test_the_folder_says_it_all_without_optuna(killed):
     assert (Path(killed.folder) / "figures" / "parallel.svg").read_text().count("agent.learning_rate") >= 1
 
 
-def test_the_store_knows_the_sweep_as_its_folder_does_and_a_rebuilt_one_too(killed):
-    runs = Path(killed.folder).parents[1]
-    with Store(Store.default_url(runs)) as store:
-        assert list(check(store, runs)) == []
-        before = store.sweeps.find("line")
-        assert (before.trials, before.final, before.best) == (killed.trials, killed.final, killed.best)
-        assert before.state() == "finished"
-        assert {run for trial in before.trials for run in trial.runs} <= {run.run for run in store.runs()}
-        store.sweeps.remove([before.sweep])
-        assert reindex(store, runs).sweeps == 1
-        assert store.sweeps.all() == (before,)
-
-
-def test_the_store_hears_of_trials_as_they_begin_and_end_and_one_that_fails_ends_no_sweep(tmp_path, monkeypatch):
-    heard, warnings = [], []
-
-    def refuse(store: object, records: object) -> None:
-        raise StoreError("the disk is full")
+def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_marked(tmp_path, monkeypatch):
+    heard = []
 
     def listen(event: object) -> None:
-        if isinstance(event, RunWarned):
-            warnings.append((event.run, event.warning))
-            return
-        with Store(Store.default_url(tmp_path)) as store:
-            found = store.sweeps.find("line")
-        heard.append([trial.state for trial in found.trials])
-        if len(heard) == 3:
-            monkeypatch.setattr(Sweeps, "add", refuse)
+        if not isinstance(event, RunWarned):
+            heard.append([trial.state for trial in find_sweep(tmp_path, "line").trials])
 
     monkeypatch.setattr(Study, "figures", lambda _: {})
     space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
     spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
     outcome = Search(spec).run(tmp_path, listener=listen)
     assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
-    assert [trial.state for trial in outcome.trials] == ["complete", "complete"]
-    found, problems = read_sweep(Path(outcome.folder))
-    assert (found.trials, problems) == (outcome.trials, ())
-    assert (found.sweep, "the disk is full (the sweep continues; its folder is complete)") in warnings
+    found = find_sweep(tmp_path, outcome.sweep)
+    assert (found.trials, found.final, found.state()) == (outcome.trials, outcome.final, "finished")
+    with Store(Store.default_url(tmp_path)) as store:
+        assert {run.run for run in store.runs(trials=True)} == {run for one in found.trials for run in one.runs}
+        assert (store.runs(trials=False), list(check(store, tmp_path))) == ((), [])
 
 
 def test_another_search_of_the_same_name_is_refused(killed):

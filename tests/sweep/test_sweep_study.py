@@ -9,7 +9,7 @@ from support import run_samples
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.errors import UsageError
-from karolos.records.results import TestResult
+from karolos.records.evaluation import Evaluation
 from karolos.specification import spec_from_dict
 from karolos.sweep.objectives import directions, measure, nominal_steps, so_far
 from karolos.sweep.study import STARTUP_TRIALS, Study
@@ -135,7 +135,7 @@ def test_importance_finds_what_matters(tmp_path):
     assert shares["agent.learning_rate"] > 0.6 > shares["agent.discount"]
 
 
-def result(steps: int, successes: int, value: float = -1.0) -> TestResult:
+def result(steps: int, successes: int, value: float = -1.0) -> Evaluation:
     miss = {"unit": "m", "better": "smaller", "values": (None, 2.0, 3.0)}
     return run_samples.result(steps, successes, 10, value=value, measures={"miss": miss})
 

@@ -23,10 +23,9 @@ import time
 from contextlib import suppress
 from pathlib import Path
 
-from karolos import checkpoint
 from karolos.plugins.contracts.case import state_differences
-from karolos.records import RunFolder
-from karolos.store import Store
+from karolos.records import RunFolder, checkpoint
+from karolos.store import Store, query
 
 PATIENCE = 15.0
 """Seconds that a killed run's workers have to notice and to end."""
@@ -168,11 +167,11 @@ def differences_of(folder: RunFolder, reference: RunFolder, database: str) -> li
     if (folder.path / "episodes.jsonl").read_text() != (reference.path / "episodes.jsonl").read_text():
         found.append("episodes.jsonl")
     with Store(database) as store:
-        record = store.records([store.find(folder.id)])[0]
+        record = store.records([query.find(store, folder.id)])[0]
         tests = [(test.steps, test.successes_any, test.successes_end) for test in record.tests]
         if tests != [(test.steps, sum(test.any), sum(test.end)) for test in folder.tests()]:
             found.append(f"tests in the database: {tests}")
-        if store.find(folder.id) != folder.summary():
+        if query.find(store, folder.id) != folder.summary():
             found.append("the run's row in the database")
     return found
 

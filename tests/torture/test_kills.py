@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 from kill_resume import TOY, differences_of, torture
 
-from karolos.experiment import announcer
+from karolos.experiment import events
 from karolos.experiment.events import RunAdvanced, RunWarned
 from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder
@@ -43,7 +43,7 @@ LEARNS: dict[str, Any] = {
 @pytest.fixture
 def heard_always(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run is heard of after each round, however fast it is."""
-    monkeypatch.setattr(announcer, "ADVANCE_SECONDS", 0.0)
+    monkeypatch.setattr(events, "ADVANCE_SECONDS", 0.0)
 
 
 class Killer:

@@ -5,8 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from karolos import checkpoint
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 
 
 def test_runs_of_two_machines_of_which_one_is_killed_equal_runs_of_this_machine(tmp_path: Path) -> None:

@@ -15,7 +15,8 @@ from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.errors import RunError, SpecError, UsageError
 from karolos.launchers.interface import STOP
-from karolos.records import RunFolder, provenance, transfer_results
+from karolos.records import RunFolder, provenance
+from karolos.records.run_folder import TRANSFERS
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check
 from karolos.transfer.matrix import Matrix, MatrixRuns
@@ -58,7 +59,7 @@ def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_po
 
 def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: MatrixRuns) -> None:
     folder, found = undisturbed.sources["fast"][1], undisturbed.zero_shot["fast", "slow"][1]
-    assert transfer_results.read(folder)[0] == (found,)
+    assert folder.transfers().rows == (found,)
     assert (found.overrides, found.checkpoint, found.seed) == (("environment.speed=0.15",), "best", 1_000_000)
 
 
@@ -68,7 +69,7 @@ def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed
         run_matrix(runs)
     again, started = run_matrix(runs, resume=True)
     assert started == []
-    assert len(transfer_results.read(again.sources["fast"][0])[0]) == 1
+    assert len(again.sources["fast"][0].transfers().rows) == 1
     assert len((again.folder / "baselines.jsonl").read_text().splitlines()) == 2
     assert numbers(again) == numbers(undisturbed)
 
@@ -107,7 +108,7 @@ def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one
 def test_a_test_whose_process_died_is_played_again_once(undisturbed: MatrixRuns, tmp_path: Path, blind: bool) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     for seed in (0, 1):
-        (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / transfer_results.FILE).unlink()
+        (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / TRANSFERS).unlink()
     launcher = FakeLauncher(True, True, False, blind=blind)
     found, started = run_matrix(runs, resume=True, launcher=launcher)
     assert started == ["(line-fast-to-slow)"] * 3
@@ -122,7 +123,7 @@ def test_a_test_whose_process_died_is_played_again_once(undisturbed: MatrixRuns,
 
 def test_a_test_that_cannot_be_played_says_why(undisturbed: MatrixRuns, tmp_path: Path) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
-    (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / transfer_results.FILE).unlink()
+    (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / TRANSFERS).unlink()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "sources": {"karolos": "0"}})
         found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
@@ -134,9 +135,7 @@ def test_a_test_that_cannot_be_played_says_why(undisturbed: MatrixRuns, tmp_path
 
 def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: MatrixRuns, tmp_path: Path) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
-    results = [
-        RunFolder.open(runs / one.id).path / transfer_results.FILE for one in undisturbed.sources["fast"].values()
-    ]
+    results = [RunFolder.open(runs / one.id).path / TRANSFERS for one in undisturbed.sources["fast"].values()]
     for path in results:
         path.unlink()
 

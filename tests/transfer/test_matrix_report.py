@@ -29,7 +29,7 @@ def report(undisturbed: MatrixRuns) -> TransferReport:
 def test_numbers_are_those_of_the_folders(undisturbed: MatrixRuns, report: TransferReport) -> None:
     (cell,) = [one for one in report.cells if (one.source, one.target) == ("fast", "slow")]
     tests = undisturbed.zero_shot["fast", "slow"]
-    zero = [tests[seed].result.success_end for seed in (0, 1)]
+    zero = [tests[seed].success_end for seed in (0, 1)]
     own = [tests[seed].own.success_end for seed in (0, 1)]
     shot = cell.estimates["zero_shot"]
     assert (shot.value, shot.low, shot.high) == (np.mean(zero), min(zero), max(zero))
@@ -42,7 +42,7 @@ def test_numbers_are_those_of_the_folders(undisturbed: MatrixRuns, report: Trans
         assert [list(curve) for curve in curves] == [[20, 40, 60, 80], [40, 80, 120, 160]]
         gains.append(curves[0][40] - curves[1][40])
         finals = [run.final() for run in (tuned, scratch)]
-        ends.append(finals[0].last.success_end - finals[1].last.success_end)
+        ends.append(finals[0]["last"].success_end - finals[1]["last"].success_end)
         areas.append([(curves[0][40] + 2 * curves[0][60] + curves[0][80]) / 4, (curves[1][40] + curves[1][80]) / 2])
     tuned_area, scratch_area = np.mean(areas, axis=0)
     assert cell.estimates["jump_start"].value == pytest.approx(np.mean(gains))

@@ -22,7 +22,8 @@ from typer import Typer
 from karolos.errors import MachineError
 from karolos.records import RunFolder, labels
 from karolos.records.sweep_records import FOLDER
-from karolos.store import Store, reindex
+from karolos.store import Store
+from karolos.store.experiments import find_experiments
 from karolos.ui.app import Application
 from karolos.ui.rows import experiment_rows
 from karolos.ui.server import guarded, serve
@@ -127,16 +128,15 @@ def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
 
 
 def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> None:
-    run = add_run(tmp_path, 0, name="x-t000")
     page = client(tmp_path)
     for kind in ("sweep", "suite", "transfer"):
         assert f"<pre>karolos {kind}" in page.get(f"/{kind}s").text  # what to do next
     write_sweep(tmp_path, "x", [some_trial(0)])
+    run = add_run(tmp_path, 0, name="x-t000")
     for file in (f"{FOLDER}/x/figures/history.svg", "suites/a b/report.html", "suites/a b/secret", "transfers/m/lock"):
         path = tmp_path / file
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(f"<body><h1>the report</h1><a href='../../{run}'>")
-    reindex(Store(Store.default_url(tmp_path)), tmp_path)
     listed = {
         "sweeps": ("1 of 3", "agent.learning_rate = 1", "/runs/sweeps/x/figures/history.svg"),
         "suites": ("/runs/suites/a%20b/report.html",),
@@ -260,7 +260,7 @@ def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_p
     add_run(tmp_path, 0)
     add_run(tmp_path, 1, name="reach-mine", successes=(0,), state="stopped")
     store = Store(Store.default_url(tmp_path))
-    [row] = experiment_rows(store, store.experiments().experiments)
+    [row] = experiment_rows(store, find_experiments(store).experiments)
     assert row.name == "reach-mine, reach"
     assert (row.value, "1 of 2 seeds not finished, left out" in row.interval) == ("0.950", True)
 

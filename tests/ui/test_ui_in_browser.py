@@ -21,7 +21,7 @@ from starlette.routing import Mount, Route
 from support.compared_runs import EVIL
 from support.run_samples import SPEC, add_run, bare
 
-from karolos.records.results import TestCounts
+from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunRecord
 from karolos.store import Store
 from karolos.ui.app import Application
@@ -93,7 +93,7 @@ walk().catch(tell).then(() => fetch("/done", { method: "POST", body: JSON.string
 def thousand_runs(store: Store) -> None:
     """200 experiments of five seeds, with ten tests each and no folders."""
     first = bare(store, "first")
-    tests = tuple(TestCounts(k * 1000, k * 10.0, 20, 2 * k, 2 * k, 0, -1.0) for k in range(1, 11))
+    tests = tuple(Evaluation(k * 1000, k * 10.0, 20, 2 * k, 2 * k, 0, -1.0) for k in range(1, 11))
     records = []
     for place in range(1000):
         name, created = f"exp{place // 5}", f"2026-01-01T00:{place // 60:02}:{place % 60:02}.000000Z"

@@ -9,7 +9,7 @@ from karolos_assembly.make_parts import parts
 from karolos_assembly.seat_plug import FLOOR, PARTS, TOP
 
 from karolos.environments.robot_task import RobotTask
-from karolos.evaluation.playing import score
+from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import candidate, cases
 from karolos.registry import find, load
@@ -53,5 +53,5 @@ def test_it_keeps_what_every_task_promises() -> None:
 def test_the_expert_seats_the_plug_with_every_arm(robot: str) -> None:
     arm, task = load("robots", robot), load("tasks", "seat_plug")
     environment = RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task(task.Settings()))
-    assert score(environment, expert_policy(environment), episodes=5, seed=0).success_end == 1
+    assert evaluate(environment, expert_policy(environment), episodes=5, seed=0).success_end == 1
     environment.close()

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from karolos import checkpoint
-from karolos.checkpoint import CheckpointError
-from karolos.checkpoint.array_files import _SOUND, SIZE
+from karolos.records import checkpoint
+from karolos.records.array_files import _SOUND, SIZE
+from karolos.records.checkpoint import CheckpointError
 
 
 def large(seed: int, files: float = 3.5) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Array files: large arrays of checkpoints in files of 1 MiB that are named by their content.
 
 A replay buffer of a gigabyte changes little between two checkpoints. Only the files that changed are written, and
-checkpoints share the others. A file is complete or missing: it is written beside its place and renamed.
+checkpoints share the others. A file is complete or missing: it is written under another name and renamed.
 """
 
 from __future__ import annotations
@@ -91,11 +91,11 @@ class ArrayFiles:
             _SOUND.add(place)
             return name
         self.folder.mkdir(parents=True, exist_ok=True)
-        beside = self.folder / f".{name}.{os.getpid()}"
-        with beside.open("wb") as file:
+        fresh = self.folder / f".{name}.{os.getpid()}"
+        with fresh.open("wb") as file:
             file.write(data)
             file.flush()
             system.sync(file.fileno())
-        system.replace(beside, place)
+        system.replace(fresh, place)
         _SOUND.add(place)
         return name

@@ -1,4 +1,4 @@
-"""The database says what the folders say, whatever was done before."""
+"""The database says what the folders say, whatever was done before, and a damaged folder is named and left out."""
 
 from __future__ import annotations
 
@@ -6,22 +6,26 @@ import itertools
 import json
 import shutil
 import tempfile
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from karolos_cli import db
+from support.commands import call
 from support.databases import KINDS, empty_database
-from support.run_samples import result
-from support.sweep_samples import some_trial, write_sweep
+from support.run_samples import new_run, result, stored
 
-from karolos.files import FileLock
 from karolos.records import RunFolder, labels, trash
-from karolos.records.sweep_records import SweepFinal, SweepTrialState
+from karolos.records.archive import export_runs, import_runs
+from karolos.records.run_records import RunRecord
 from karolos.store import Store, check, reindex
-from karolos.store.summaries import success_densities
+from karolos.store.database import RefusedValueError
+from karolos.store.experiments import success_densities
 from karolos.store.tables import TABLES
 
 texts = st.text(st.characters(exclude_categories=["Cs", "Cc"]), min_size=1, max_size=5).filter(
@@ -39,13 +43,6 @@ operations = st.lists(
         st.tuples(st.just("remove"), which),
         st.tuples(st.just("restore"), which),
         st.tuples(st.just("densities"), st.sampled_from("ab")),
-        st.tuples(
-            st.just("sweep"),
-            st.sampled_from(["line", "other"]),
-            st.lists(st.tuples(st.sampled_from(get_args(SweepTrialState)), st.floats(-1, 1)), max_size=3),
-            st.booleans(),
-        ),
-        st.tuples(st.just("unsweep"), st.sampled_from(["line", "other"])),
     ),
     min_size=1,
     max_size=20,
@@ -65,11 +62,6 @@ class World:
     def apply(self, operation: str, *values: Any) -> None:
         if operation == "run":
             self._run(*values)
-        elif operation == "sweep":
-            self._sweep(*values)
-        elif operation == "unsweep":
-            shutil.rmtree(self.runs / "sweeps" / values[0], ignore_errors=True)
-            reindex(self.store, self.runs)
         elif operation == "densities":
             densities(self.store, values[0])
         elif operation == "restore":
@@ -90,15 +82,6 @@ class World:
         folder = RunFolder.open(folder.path)
         self.store.add_records([folder.record()])
         self.folders.append(folder)
-
-    def _sweep(self, name: str, trials: list[tuple[SweepTrialState, float]], with_final: bool) -> None:
-        made = [some_trial(number, state, value) for number, (state, value) in enumerate(trials)]
-        best = next((trial for trial in made if trial.values), None)
-        final = None
-        if with_final and best is not None:
-            final = SweepFinal(best.number, (1,), (2,), best.values or (), {best.number: (0.25, 7.0)}, None)
-        shutil.rmtree(self.runs / "sweeps" / name, ignore_errors=True)
-        self.store.sweeps.add([write_sweep(self.runs, name, made, final)])
 
     def _test(self, folder: RunFolder, steps: int, successes: int) -> None:
         folder.add_test(result(steps, successes))
@@ -140,13 +123,12 @@ def answers(store: Store) -> list[Any]:
     return [
         store.records(runs),
         [densities(store, name) for name in experiments],
-        [(sweep, sweep.row(), sweep.best) for sweep in store.sweeps.all()],
         sorted(len(store.runs(where=f"tags = {json.dumps(tag)}")) for run in runs for tag in run.tags),
     ]
 
 
 def rows(store: Store) -> dict[str, int]:
-    with store.database.engine.connect() as connection:
+    with store.engine.connect() as connection:
         names = sorted(table for table in TABLES.tables if table != "karolos_schema")
         return {name: connection.exec_driver_sql(f"SELECT count(*) FROM {name}").scalar_one() for name in names}
 
@@ -187,7 +169,7 @@ def test_check_names_every_kind_of_difference(tmp_path: Path) -> None:
         untested.add_test(result(5, 3))
         labels.add_tags(labelled.path, ["good"])
         (torn.path / "tests.jsonl").write_text('{"steps":')
-        with store.database.engine.begin() as connection:
+        with store.engine.begin() as connection:
             connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
             connection.exec_driver_sql("UPDATE specs SET content = '{}'")
         found: dict[str | None, list[str]] = {}
@@ -208,8 +190,8 @@ def test_check_names_a_database_that_contradicts_itself(tmp_path: Path) -> None:
         import sqlite3
 
         with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:
-            connection.execute("INSERT INTO trials VALUES ('no sweep', 1, 'x', 'failed', '{}', null, '[]', null)")
-        assert [one.what for one in check(store, tmp_path)] == ["a row of trials refers to a missing row of sweeps"]
+            connection.execute("INSERT INTO tests VALUES ('no run', 1, 1.0, 1, null, null, null, null, '{}')")
+        assert [one.what for one in check(store, tmp_path)] == ["a row of tests refers to a missing row of runs"]
 
 
 def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -> None:
@@ -223,30 +205,6 @@ def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path: Path) -
         assert any(f"z-copy: says that it is the run {folder.id}" in problem for problem in done.problems)
         assert store.runs()[0].folder == str(folder.path)
         assert any(f"z-copy: says that it is the run {folder.id}" in one.what for one in check(store, tmp_path))
-
-
-def test_check_names_every_difference_of_a_sweep(tmp_path: Path) -> None:
-    with Store(Store.default_url(tmp_path)) as store:
-        records = [write_sweep(tmp_path, name, [some_trial(0)]) for name in ("fine", "gone", "stale", "torn", "going")]
-        store.sweeps.add(records)
-        write_sweep(tmp_path, "unknown", [])
-        shutil.rmtree(tmp_path / "sweeps" / "gone")
-        write_sweep(tmp_path, "stale", [some_trial(0), some_trial(1, "running")], asked=7)
-        (tmp_path / "sweeps" / "torn" / "trials.jsonl").open("a").write('{"number":')
-        shutil.copytree(tmp_path / "sweeps" / "fine", tmp_path / "sweeps" / "fine2")
-        write_sweep(tmp_path, "going", [])
-        lock = FileLock(tmp_path / "sweeps" / "going" / "lock")
-        lock.acquire()  # somebody carries it out
-        found = {(one.run or "", one.what) for one in check(store, tmp_path)}
-        lock.release()
-    assert found == {
-        ("unknown-20260101-000000", "it has a folder, and is not in the database"),
-        ("gone-20260101-000000", "it is in the database, and its folder is gone"),
-        ("stale-20260101-000000", "asked is 7 in its folder and 3 in the database"),
-        ("stale-20260101-000000", "the trials differ in the database"),
-        ("", "a sweep's folder: torn: trials.jsonl:2: the last line is torn; left out"),
-        ("", "a sweep's folder: fine2: says that it is the sweep fine-20260101-000000, as fine does; left out"),
-    }
 
 
 def test_reindex_keeps_what_a_run_writes_meanwhile(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -280,3 +238,134 @@ def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path: Pa
         done = reindex(store, runs)
         assert (done.runs, done.forgotten) == (1, 1)
         assert set(store.runs()) == {kept, other}
+
+
+DAMAGE = [
+    ("seed", "9" * 5000),
+    ("seed", "-1"),
+    ("experiment", "3"),
+    ("versions", "[1]"),
+    ("git", "[1]"),
+    ("command", "[1]"),
+    ("created", '"\\ud800"'),
+    ("id", '"../x"'),
+    ("id", '"sweeps"'),
+]
+"""Values with which run.json is damaged."""
+MISREAD = [
+    ("state.json", "steps", "Infinity"),
+    ("state.json", "steps", str(1 << 64)),
+    ("state.json", "attempt", "null"),
+    ("state.json", "state", '"done"'),
+    ("state.json", "seconds", "1e999"),
+    ("state.json", "error", '"\\ud800"'),
+    ("resolved.json", "note", "NaN"),
+    ("resolved.json", "note", '"\\ud800"'),
+    ("resolved.json", "note", "[" * 300 + "]" * 300),
+]
+"""Values with which another file is damaged."""
+
+
+def put(folder: RunFolder, file: str, key: str, text: str) -> None:
+    """Set a value of a JSON file to a text that `json.dumps` would not write."""
+    row = json.loads((folder.path / file).read_text())
+    (folder.path / file).write_text(json.dumps({**row, key: "HERE"}).replace('"HERE"', text))
+    if file == "resolved.json":  # as if the run had begun with it
+        run = json.loads((folder.path / "run.json").read_text())
+        made = sha256((folder.path / file).read_bytes()).hexdigest()
+        (folder.path / "run.json").write_text(json.dumps(run | {"resolved_sha256": made}))
+
+
+@pytest.fixture(params=KINDS)
+def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
+    with empty_database(request.param, tmp_path) as url, Store(url) as store:
+        yield store
+
+
+@pytest.mark.parametrize(("key", "text"), DAMAGE)
+def test_a_folder_without_a_description_is_named_and_the_others_are_indexed(
+    store: Store, tmp_path: Path, key: str, text: str
+) -> None:
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+        pass
+    put(bad, "run.json", key, text)
+    done = reindex(store, tmp_path)
+    assert [run.run for run in store.runs()] == [good.id]
+    assert done.runs == 1
+    assert [bad.id in problem and "\n" not in problem for problem in done.problems] == [True]
+    assert [bad.id in found.what for found in check(store, tmp_path)] == [True]
+
+
+@pytest.mark.parametrize(("file", "key", "text"), MISREAD)
+def test_a_file_that_cannot_be_read_is_named_and_the_rest_of_the_folder_is_indexed(
+    store: Store, tmp_path: Path, file: str, key: str, text: str
+) -> None:
+    with new_run(tmp_path) as bad:
+        bad.set_state("finished", steps=10)
+    put(bad, file, key, text)
+    (problem,) = reindex(store, tmp_path).problems
+    assert problem.startswith(f"{bad.id}: {file}: missing")
+    assert [run.run for run in store.runs()] == [bad.id]
+    assert [one.what for one in check(store, tmp_path)] == [problem]
+
+
+@pytest.mark.parametrize(
+    ("file", "key"), [("state.json", "error"), ("run.json", "versions"), ("resolved.json", "note")]
+)
+@pytest.mark.parametrize("text", ['"\\u0000"', '"1e999"', "1e999", "[" * 60 + "]" * 60, '"' + "x" * 1000 + '"'])
+def test_an_odd_value_is_stored_or_its_run_is_named(
+    store: Store, tmp_path: Path, file: str, key: str, text: str
+) -> None:
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+        pass
+    put(bad, file, key, f'{{"x": {text}}}' if key == "versions" else text)
+    done = reindex(store, tmp_path)
+    indexed = {run.run for run in store.runs()}
+    assert indexed == {good.id, bad.id} or (indexed == {good.id} and [bad.id in one for one in done.problems] == [True])
+    assert [one for one in check(store, tmp_path) if one.run == good.id] == []
+
+
+@pytest.mark.parametrize(
+    "change",
+    [('"seconds":0.1', '"seconds":NaN'), ('"seconds":0.1', '"seconds":1e999'), ('"steps":10', f'"steps":{1 << 64}')],
+)
+def test_a_test_with_impossible_numbers_is_left_out(store: Store, tmp_path: Path, change: tuple[str, str]) -> None:
+    with new_run(tmp_path) as bad:
+        bad.add_test(result(10, 3))
+        bad.add_test(result(20, 4))
+    file = bad.path / "tests.jsonl"
+    file.write_text(file.read_text().replace(*change))
+    (problem,) = reindex(store, tmp_path).problems
+    assert "tests.jsonl" in problem
+    assert [test.steps for test in stored(store, bad.id).tests] == [20]
+
+
+def test_a_run_that_the_database_refuses_is_named_and_the_others_are_entered(tmp_path: Path) -> None:
+    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+        pass
+    with Store(Store.default_url(tmp_path)) as store:
+        with store.writing() as connection:
+            rule = f"WHEN new.run = '{bad.id}' BEGIN SELECT RAISE(ABORT, 'not this one'); END"
+            connection.exec_driver_sql(f"CREATE TRIGGER refuse BEFORE INSERT ON runs {rule}")
+        done = reindex(store, tmp_path)
+        assert (done.runs, done.problems) == (1, (f"{bad.id}: the database refuses a value (not this one); left out",))
+        assert [run.run for run in store.runs()] == [good.id]
+    code, _, told = call(db.app, "reindex", "--runs", str(tmp_path))
+    assert code == 1
+    assert "not this one" in told
+    assert "1 runs entered" in told
+    assert call(db.app, "check", "--runs", str(tmp_path))[0] == 4
+
+
+def test_an_archive_with_a_run_that_the_database_refuses_brings_nothing(tmp_path: Path) -> None:
+    with new_run(tmp_path / "a") as run:
+        pass
+    export_runs([run], tmp_path / "x.tar.gz")
+
+    def refuse(records: Sequence[RunRecord]) -> None:
+        assert [record.summary.run for record in records] == [run.id]
+        raise RefusedValueError("no", where="here", hint="none")
+
+    with pytest.raises(RefusedValueError):
+        import_runs(tmp_path / "x.tar.gz", tmp_path / "b", enter=refuse)
+    assert list((tmp_path / "b").iterdir()) == []

@@ -1,0 +1,294 @@
+"""Evaluation: one test of a policy. It is not in `karolos.evaluation`, because readers need nothing that plays.
+
+An evaluation is one JSON object in one line, whatever was played: tests.jsonl holds the tests during training,
+final.jsonl the final test of `last` and `best`, transfers.jsonl the tests under changed settings. The index has the
+numbers of those in tests.jsonl.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import chain
+from types import MappingProxyType
+from typing import Annotated, Any, Literal, NotRequired, final
+
+from pydantic import Field, FiniteFloat
+from typing_extensions import TypedDict
+
+from ..files import parse_object
+from ..statistics.intervals import wilson
+from .decode import from_json
+
+Count = Annotated[int, Field(ge=0, lt=1 << 63)]
+"""A number that databases can store."""
+WITHIN = (0.05, 0.1, 0.25)
+"""Distances in m: reports say which fraction of test episodes ended nearer to their goal."""
+COUNTS = (
+    "steps",
+    "seconds",
+    "episodes",
+    "successes_any",
+    "successes_end",
+    "solved_at_reset",
+    "mean_return",
+    "measures",
+)
+"""Fields that the index stores."""
+LISTS = ("any", "end", "reset", "returns", "lengths", "distances")
+"""Fields that hold one entry per episode."""
+
+
+class Measured(TypedDict):
+    """A measure of an evaluation."""
+
+    unit: str
+    better: Literal["smaller", "larger"]
+    """Which of two values is better."""
+    mean: FiniteFloat | None
+    """Mean over the episodes in which it is defined; None without any."""
+    values: NotRequired[tuple[FiniteFloat | None, ...]]
+    """Value of each episode, None where it is undefined; missing in the index."""
+
+
+@final
+@dataclass(frozen=True)
+class Evaluation:
+    """One test of a policy: in numbers, episode by episode, and which policy was tested how.
+
+    Lists have one entry per episode, in the order of the seeds. They are empty where only the numbers are known, as in
+    the index. Fields about the policy and the settings have their defaults in tests during training.
+    """
+
+    steps: Count
+    """Environment steps of training before the test."""
+    seconds: FiniteFloat
+    """Wall-clock seconds of collecting (demonstrations included) and learning before the test; tests excluded."""
+    episodes: Count
+    successes_any: Count | None
+    """Episodes that reached the goal at some step; None if the environment does not define success."""
+    successes_end: Count | None
+    """Episodes that reached the goal at the last step."""
+    solved_at_reset: Count | None
+    """Episodes whose goal held before the first action."""
+    mean_return: FiniteFloat | None
+    """Mean over the episodes of the sum of rewards; None if it is not finite."""
+    measures: dict[str, Measured] = field(default_factory=dict)
+    """What the environment measures an episode by, by name; empty in tests of version 0.1."""
+    any: tuple[bool, ...] = ()
+    """Whether the goal was reached at some step."""
+    end: tuple[bool, ...] = ()
+    """Whether the goal held at the last step."""
+    reset: tuple[bool, ...] = ()
+    """Whether the goal held before the first action."""
+    returns: tuple[float, ...] = ()
+    """Sums of rewards."""
+    lengths: tuple[int, ...] = ()
+    """Steps."""
+    distances: tuple[float, ...] | None = None
+    """From the goal at the last step, in m; inf where it does not count (nothing landed). None if it is unknown."""
+    checkpoint: str | None = None
+    """`last` or `best`; None during training."""
+    sha256: str | None = None
+    """Hash of the agent's state in the checkpoint. It identifies the policy if the checkpoint is overwritten later."""
+    seed: int | None = None
+    """Root of the seeds of the episodes; None during training, where it is `testing.seed`."""
+    overrides: tuple[str, ...] = ()
+    """Changes to the run's spec, as `path=value`."""
+    randomized: bool = False
+    """Whether domain randomization was on."""
+    time: str | None = None
+    """End of the test (ISO 8601, UTC)."""
+    wall_seconds: float | None = None
+    """Duration of the test."""
+    versions: Mapping[str, str] = field(default_factory=dict)
+    """Versions of the software that played."""
+    own: Evaluation | None = None
+    """Numbers of the same policy on the same episodes under the unchanged spec."""
+
+    @classmethod
+    def of(
+        cls,
+        steps: int,
+        seconds: float,
+        *,
+        has_success: bool = True,
+        measures: Mapping[str, Any] = MappingProxyType({}),
+        **lists: Any,
+    ) -> Evaluation:
+        """The evaluation with these results.
+
+        Args:
+            steps: environment steps of training before the test.
+            seconds: of training before the test.
+            has_success: False: the environment does not define success. Only returns count.
+            measures: unit, better and values of each measure, by name.
+            lists: the fields LISTS.
+        """
+        some, end, reset = (sum(lists[name]) if has_success else None for name in ("any", "end", "reset"))
+        means = {
+            name: Measured(
+                unit=one["unit"],
+                better=one["better"],
+                mean=_finite_mean([value for value in one["values"] if value is not None]),
+                values=one["values"],
+            )
+            for name, one in measures.items()
+        }
+        mean = _finite_mean(lists["returns"])
+        return cls(int(steps), float(seconds), len(lists["any"]), some, end, reset, mean, means, **lists)
+
+    @classmethod
+    def joined(cls, parts: Sequence[Evaluation], count: int | None = None) -> Evaluation:
+        """The evaluation that was played in parts, in the order of their episodes, or its first `count` episodes."""
+
+        def whole(columns: Iterable[Any]) -> Any:
+            known = list(columns)
+            return None if None in known else tuple(chain.from_iterable(known))[:count]
+
+        first = parts[0]
+        measures = {
+            name: {**one, "values": whole(part.measures[name]["values"] for part in parts)}
+            for name, one in first.measures.items()
+        }
+        lists = {name: whole(getattr(part, name) for part in parts) for name in LISTS}
+        has_success = any(part.has_success for part in parts)
+        return cls.of(first.steps, first.seconds, has_success=has_success, measures=measures, **lists)
+
+    @property
+    def has_success(self) -> bool:
+        """Whether the environment defines success."""
+        return self.successes_end is not None
+
+    @property
+    def success_any(self) -> float | None:
+        """Fraction of episodes in which the goal was reached at some step; None if success is not defined."""
+        return None if self.successes_any is None else self.successes_any / self.episodes
+
+    @property
+    def success_end(self) -> float | None:
+        """Fraction of episodes in which the goal held at the last step; None if success is not defined."""
+        return None if self.successes_end is None else self.successes_end / self.episodes
+
+    @property
+    def known_return(self) -> float:
+        """The mean return as a number: nan if it is not finite."""
+        return math.nan if self.mean_return is None else self.mean_return
+
+    @property
+    def text(self) -> str:
+        """Success and mean return for a person."""
+        success = f"success end {self.success_end:.2f}, any {self.success_any:.2f}, " if self.has_success else ""
+        return f"{success}return {self.known_return:,.2f}"
+
+    @property
+    def brief(self) -> str:
+        """Success or return in a few characters."""
+        return f"end {self.success_end:.2f}" if self.has_success else f"return {self.known_return:,.2f}"
+
+    @property
+    def counts(self) -> Evaluation:
+        """The numbers alone, as the index has them."""
+        means = {
+            name: Measured(unit=one["unit"], better=one["better"], mean=one["mean"])
+            for name, one in self.measures.items()
+        }
+        return Evaluation(**{name: getattr(self, name) for name in COUNTS} | {"measures": means})
+
+    def within(self, metres: float) -> float | None:
+        """Fraction of episodes that ended nearer than this to their goal; None if the distances are unknown."""
+        return None if self.distances is None else sum(far < metres for far in self.distances) / self.episodes
+
+    def row(self) -> dict[str, Any]:
+        """Success, return and measures as JSON values; success with Wilson's intervals at 95 %."""
+        return {
+            "episodes": self.episodes,
+            "success_any": self.success_any,
+            "success_any_interval": self._interval(self.successes_any),
+            "success_end": self.success_end,
+            "success_end_interval": self._interval(self.successes_end),
+            "mean_return": self.mean_return,
+            "measures": self.counts.measures,
+        }
+
+    def changed_row(self) -> dict[str, Any]:
+        """A test under changed settings as JSON values, in the order that scripts rely on."""
+        return {
+            "time": self.time,
+            "checkpoint": self.checkpoint,
+            "steps": self.steps,
+            "overrides": list(self.overrides),
+            "randomized": self.randomized,
+            "seed": self.seed,
+            **self.row(),
+            "own": self.own and self.own.row(),
+            "wall_seconds": self.wall_seconds,
+        }
+
+    def _interval(self, successes: int | None) -> tuple[float, float] | None:
+        return None if successes is None else wilson(successes, self.episodes)
+
+    def encode(self) -> dict[str, Any]:
+        """As a JSON object, without fields that have their defaults. Successes are 0 and 1, nan and inf are texts."""
+        row: dict[str, Any] = dict(vars(self))
+        row |= {name: [int(flag) for flag in row[name]] for name in ("any", "end", "reset", "lengths")}
+        for name in ("returns", "distances"):
+            row[name] = [value if math.isfinite(value) else str(value) for value in map(float, row[name] or ())]
+        row |= {"randomized": self.randomized or None, "own": self.own and self.own.counts.encode()}
+        return {name: value for name, value in row.items() if name in COUNTS or value not in (None, [], (), {})}
+
+
+def _finite_mean(values: Sequence[float]) -> float | None:
+    """The mean, which is the same in every version of Python; None if it is not finite, or without values."""
+    try:
+        mean = math.fsum(values) / len(values)
+    except (OverflowError, ValueError, ZeroDivisionError):
+        return None
+    return mean if math.isfinite(mean) else None
+
+
+def decode(line: bytes | Mapping[str, Any]) -> Evaluation | None:
+    """The evaluation in a JSON object or its text, with all episodes; None if it is not one."""
+    found = from_json(Evaluation, line)
+    if found is None or not found.any:
+        found = _decode_older(line)
+    if found is None or not found.any:
+        return None
+    lists = [getattr(found, name) for name in LISTS] + [one.get("values") for one in found.measures.values()]
+    return found if all(len(one) == found.episodes for one in lists if one is not None) else None
+
+
+def _decode_older(line: bytes | Mapping[str, Any]) -> Evaluation | None:
+    """A line of version 0.1, which has no counts, or of transfers.jsonl of 0.2, where the test is nested."""
+    row = parse_object(line) if isinstance(line, bytes) else line
+    if row is None or "successes_end" in row:
+        return None
+    if isinstance(row.get("test"), Mapping):
+        return decode({**row, "test": None, **row["test"]})
+    unknown = dict.fromkeys(COUNTS[2:-1], 0) | {"successes_end": None if row.get("has_success") is False else 0}
+    found = from_json(Evaluation, unknown | {**row})
+    if found is None:
+        return None
+    counted = Evaluation.joined([found])
+    return replace(found, **{name: getattr(counted, name) for name in COUNTS})
+
+
+def decode_final(text: bytes) -> dict[str, Evaluation]:
+    """The final test in the lines of a file: checkpoint -> evaluation; empty if they are damaged."""
+    lines = text.splitlines()
+    head = parse_object(lines[0]) if lines else None
+    if head is None or not text.endswith(b"\n"):
+        return {}
+    older = {name: head[name] for name in ("last", "best") if isinstance(head.get(name), str)}
+    found = [one for one in map(decode, lines[bool(older) :]) if one is not None]
+    if not older:
+        named = {str(one.checkpoint): one for one in found}
+        return named if len(found) == len(lines) and "last" in named else {}
+    # Up to 0.2 the first line describes the policies. Those that are the same have one line, in 0.1 two.
+    if len(found) != len(lines) - 1 or len(found) not in (len({*older.values()}), len(older)):
+        return {}
+    return {
+        name: replace(one, checkpoint=name, sha256=older[name], seed=head.get("seed"))
+        for name, one in zip(older, (found[0], found[-1]), strict=False)
+    }

@@ -1,0 +1,355 @@
+"""Checkpoints: replaced whole or not at all, damage that is found, and states that come back bit for bit."""
+
+from __future__ import annotations
+
+import errno
+import hashlib
+import json
+import os
+import pickle
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as arrays
+from support.states import same
+
+from karolos.errors import MachineError, RunError, UsageError
+from karolos.records import checkpoint
+from karolos.records.checkpoint import FORMAT, CheckpointError, decode, encode, load, save, seal
+
+PARTS = {"agent": {"weight": torch.arange(1000.0)}, "buffer": {"slot": np.arange(50)}}
+META = {"experiment": "abc", "steps": 7}
+
+
+@pytest.fixture
+def whole(tmp_path: Path) -> Path:
+    return save(tmp_path, "best", PARTS, META)
+
+
+def test_new_checkpoint_takes_the_place_of_the_old_one(tmp_path: Path) -> None:
+    save(tmp_path, "best", PARTS, {"steps": 1})
+    save(tmp_path, "best", {"agent": {}}, {"steps": 2})
+    assert load(tmp_path, "best") == ({"agent": {}}, {"steps": 2})
+    assert [path.name for path in tmp_path.iterdir()] == ["best"]
+    assert checkpoint.names(tmp_path) == ("best",)
+
+
+def test_a_part_comes_with_the_digest_of_the_checkpoint_that_it_was_read_from(whole: Path, tmp_path: Path) -> None:
+    parts, meta = load(tmp_path, "best")
+    for part in PARTS:
+        state, about, sha256 = checkpoint.load_part(tmp_path, "best", part)
+        assert same(state, parts[part])
+        assert (about, sha256) == (meta, checkpoint.digest(tmp_path, "best", part))
+    with pytest.raises(checkpoint.CheckpointError, match="it lacks other"):
+        checkpoint.load_part(tmp_path, "best", "other")
+
+
+def test_loading_never_leaves_the_folder(tmp_path: Path) -> None:
+    save(tmp_path, "best", PARTS, {})
+    (tmp_path / "inner").mkdir()
+    with pytest.raises(UsageError, match="leads out"):
+        load(tmp_path / "inner", "../best")
+
+
+def test_full_disk_keeps_the_old_checkpoint(whole: Path) -> None:
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (500_000, limits[1]))
+    try:
+        with pytest.raises(MachineError, match="best: the disk is full; free some space; what was there before"):
+            save(whole.parent, "best", {"agent": {"x": torch.rand(300_000)}}, {})
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    assert same(load(whole.parent, "best")[0], PARTS)
+    assert [path.name for path in whole.parent.iterdir()] == ["best"]
+
+
+@pytest.mark.parametrize("calls", range(8))
+def test_disk_that_fails_at_any_moment_keeps_a_whole_checkpoint(
+    whole: Path, calls: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    left = calls
+    fsync = os.fsync
+
+    def fail_later(descriptor: int) -> None:
+        nonlocal left
+        if left == 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        left -= 1
+        fsync(descriptor)
+
+    monkeypatch.setattr(os, "fsync", fail_later)
+    new = {"agent": {"x": 1}, "buffer": {"y": 2}}
+    try:
+        save(whole.parent, "best", new, {})
+    except MachineError:
+        pass
+    else:
+        assert left >= 0
+    monkeypatch.undo()
+    found = load(whole.parent, "best")[0]
+    assert same(found, PARTS) or same(found, new)
+    save(whole.parent, "best", new, {})
+    assert same(load(whole.parent, "best")[0], new)
+    assert [path.name for path in whole.parent.iterdir()] == ["best"]
+
+
+KILLED = """
+import os, signal, sys
+from pathlib import Path
+from karolos import system
+from karolos.records import checkpoint
+folder, place = Path(sys.argv[1]), int(sys.argv[2])
+rename = system.replace
+def count_down(*arguments):
+    global place
+    if not arguments[0].is_dir():  # the manifest
+        return rename(*arguments)
+    if place == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    place -= 1
+    return rename(*arguments)
+system.replace = count_down
+checkpoint.save(folder, "best", {"agent": {"x": 1}}, {"steps": 8})
+os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.parametrize(("place", "steps"), [(0, 7), (1, 7), (2, 8)])
+def test_process_killed_between_renames_leaves_a_checkpoint(whole: Path, place: int, steps: int) -> None:
+    command = [sys.executable, "-c", KILLED, str(whole.parent), str(place)]
+    assert subprocess.run(command, check=False).returncode == -9
+    assert load(whole.parent, "best")[1]["steps"] == steps
+    assert checkpoint.names(whole.parent) == ("best",)
+    assert checkpoint.read_meta(whole.parent, "best")["steps"] == steps
+    save(whole.parent, "best", PARTS, {"steps": 9})
+    assert load(whole.parent, "best")[1]["steps"] == 9
+    assert [path.name for path in whole.parent.iterdir()] == ["best"]
+
+
+@pytest.mark.parametrize("name", ["read_manifest", "unpack_state", "read_state"])
+def test_reader_of_a_run_that_goes_on_gets_the_old_or_the_new(
+    whole: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    function = getattr(checkpoint, name)
+    new = {"agent": {"weight": torch.ones(3)}}
+
+    def replaced_before(*arguments: Any) -> Any:
+        monkeypatch.setattr(checkpoint, name, function)
+        save(whole.parent, "best", new, {"steps": 8})
+        return function(*arguments)
+
+    monkeypatch.setattr(checkpoint, name, replaced_before)
+    parts, meta = load(whole.parent, "best")
+    assert meta == {"steps": 8}
+    assert same(parts, new)
+
+
+def test_every_flipped_byte_of_the_manifest_is_found(whole: Path) -> None:
+    path = whole / "manifest.json"
+    data = path.read_bytes()
+    meaning = json.loads(data)
+    for place in range(len(data)):
+        changed = bytearray(data)
+        changed[place] ^= 0x04
+        path.write_bytes(changed)
+        try:
+            found = load(whole.parent, "best")
+        except RunError:
+            continue
+        assert json.loads(changed) == meaning, f"byte {place}"  # white space only
+        assert found[1] == META
+
+
+@pytest.mark.parametrize("part", ["agent.pt", "buffer.pt"])
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.6, 0.999])
+def test_flipped_byte_is_found(whole: Path, part: str, share: float) -> None:
+    data = bytearray((whole / part).read_bytes())
+    data[int(share * len(data))] ^= 1
+    (whole / part).write_bytes(data)
+    with pytest.raises(CheckpointError, match=rf"{part}: the checkpoint is damaged: its content was changed; use"):
+        load(whole.parent, "best")
+
+
+@pytest.mark.parametrize("name", ["agent.pt", "manifest.json"])
+@pytest.mark.parametrize("size", [0, 1, 100])
+def test_truncated_file_is_found(whole: Path, name: str, size: int) -> None:
+    data = (whole / name).read_bytes()
+    (whole / name).write_bytes(data[:size])
+    with pytest.raises(CheckpointError, match="damaged"):
+        load(whole.parent, "best")
+
+
+@pytest.mark.parametrize("name", ["agent.pt", "buffer.pt", "manifest.json"])
+def test_missing_file_is_found(whole: Path, name: str) -> None:
+    (whole / name).unlink()
+    with pytest.raises(CheckpointError, match=f"damaged: .*{'manifest' if 'json' in name else 'No such file'}"):
+        load(whole.parent, "best")
+
+
+def test_missing_checkpoint_names_those_that_are_there(whole: Path) -> None:
+    with pytest.raises(CheckpointError, match="there is no checkpoint 'last'; there are best"):
+        load(whole.parent, "last")
+    with pytest.raises(CheckpointError, match="there are no checkpoints"):
+        load(whole / "nowhere", "last")
+
+
+def rewrite(path: Path, **changes: Any) -> None:
+    """A manifest that is sound in itself, as somebody who knows the format would forge it."""
+    manifest = json.loads((path / "manifest.json").read_text()) | changes
+    manifest["files"] = {
+        part: {
+            "bytes": (path / f"{part}.pt").stat().st_size,
+            "sha256": hashlib.sha256((path / f"{part}.pt").read_bytes()).hexdigest(),
+        }
+        for part in manifest["files"]
+    }
+    manifest["sha256"] = seal(manifest)
+    (path / "manifest.json").write_text(json.dumps(manifest))
+
+
+def test_newer_format_is_named(whole: Path) -> None:
+    rewrite(whole, format=FORMAT + 1)
+    with pytest.raises(CheckpointError, match="format 2, this karolos knows 1; update karolos"):
+        load(whole.parent, "best")
+
+
+class Trap:
+    def __init__(self, mark: Path) -> None:
+        self.mark = mark
+
+    def __reduce__(self) -> Any:
+        return os.mkdir, (str(self.mark),)
+
+
+@pytest.mark.parametrize("by", ["pickle", "torch"])
+def test_malicious_pickle_is_refused_and_not_run(whole: Path, by: str, tmp_path: Path) -> None:
+    mark = tmp_path / "sprung"
+    if by == "pickle":
+        (whole / "agent.pt").write_bytes(pickle.dumps({"x": Trap(mark)}, protocol=2))
+    else:
+        torch.save({"x": Trap(mark)}, whole / "agent.pt")
+    rewrite(whole)
+    with pytest.raises(CheckpointError, match=r"does not hold a plain state and was not loaded; it may run foreign"):
+        load(whole.parent, "best")
+    assert not mark.exists()
+
+
+@pytest.mark.parametrize(
+    "state",
+    [
+        [1],
+        {"x": {"__karolos__": "array"}},
+        {"x": {"__karolos__": "array", "dtype": "O", "shape": (1,), "data": torch.zeros(8, dtype=torch.uint8)}},
+        {"x": {"__karolos__": "array", "dtype": "f4", "shape": (9,), "data": torch.zeros(8, dtype=torch.uint8)}},
+        {"x": {"__karolos__": "integer", "text": "zz"}},
+    ],
+)
+def test_forged_state_is_refused(whole: Path, state: Any) -> None:
+    torch.save(state, whole / "agent.pt")
+    rewrite(whole)
+    with pytest.raises(CheckpointError):
+        load(whole.parent, "best")
+
+
+def test_forged_part_name_leads_nowhere(whole: Path) -> None:
+    manifest = json.loads((whole / "manifest.json").read_text())
+    manifest["files"] = {"../../agent": manifest["files"]["agent"]}
+    manifest["sha256"] = seal(manifest)
+    (whole / "manifest.json").write_text(json.dumps(manifest))
+    with pytest.raises(CheckpointError, match="changed"):
+        load(whole.parent, "best")
+
+
+def test_state_of_an_agent_comes_back_bit_for_bit(tmp_path: Path) -> None:
+    network = torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.BatchNorm1d(4))
+    optimiser = torch.optim.Adam(network.parameters())
+    network(torch.rand(5, 3)).sum().backward()
+    optimiser.step()
+    generators = {kind.__name__: kind(3).state for kind in (np.random.PCG64, np.random.MT19937, np.random.Philox)}
+    state = {
+        "network": dict(network.state_dict()),
+        "optimiser": optimiser.state_dict(),
+        "generators": generators,
+        "torch": torch.Generator().manual_seed(3).get_state(),
+        "bf16": torch.ones(3, dtype=torch.bfloat16),
+        "numbers": (1, -(2**127), 2**63, -(2**63), 0.1, -0.0, float("inf"), True, None, "text", np.float32(0.1)),
+    }
+    save(tmp_path, "last", {"agent": state}, META)
+    parts, meta = load(tmp_path, "last")
+    assert same(parts["agent"], state)
+    assert meta == META
+    network.load_state_dict(parts["agent"]["network"])
+    optimiser.load_state_dict(parts["agent"]["optimiser"])
+
+
+def test_generator_goes_on_where_it_stopped(tmp_path: Path) -> None:
+    generator = np.random.default_rng(5)
+    generator.random(7, np.float32)
+    save(tmp_path, "last", {"buffer": {"generator": generator.bit_generator.state}}, {})
+    expected = generator.random(9)
+    fresh = np.random.default_rng()
+    fresh.bit_generator.state = load(tmp_path, "last")[0]["buffer"]["generator"]
+    assert np.array_equal(fresh.random(9), expected)
+
+
+simple_arrays = arrays.arrays(
+    st.one_of(arrays.scalar_dtypes(), arrays.unicode_string_dtypes(), arrays.byte_string_dtypes()),
+    arrays.array_shapes(min_dims=0, max_dims=3, min_side=0, max_side=4),
+)
+leaves = st.one_of(st.none(), st.booleans(), st.integers(), st.floats(), st.text(max_size=5), simple_arrays)
+states = st.recursive(
+    leaves,
+    lambda inner: st.one_of(
+        st.lists(inner, max_size=3),
+        st.lists(inner, max_size=3).map(tuple),
+        st.dictionaries(st.one_of(st.text(max_size=5), st.integers(-9, 9)), inner, max_size=3),
+    ),
+    max_leaves=8,
+)
+
+
+@given(states)
+def test_any_state_survives_encoding(state: Any) -> None:
+    assert same(decode(encode(state)), state)
+
+
+def test_array_in_any_memory_order_comes_back(tmp_path: Path) -> None:
+    base = np.arange(12, dtype=">i4").reshape(3, 4)
+    frozen = base.copy()
+    frozen.flags.writeable = False
+    state = {"t": base.T, "fortran": np.asfortranarray(base), "strided": base[::2, ::-1], "frozen": frozen}
+    save(tmp_path, "last", {"buffer": state}, {})
+    found = load(tmp_path, "last")[0]["buffer"]
+    assert all(np.array_equal(found[key], state[key]) and found[key].dtype == ">i4" for key in state)
+
+
+def test_view_does_not_drag_its_storage_along(tmp_path: Path) -> None:
+    large = torch.zeros(1_000_000)
+    path = save(tmp_path, "last", {"agent": {"view": large[3:7]}}, {})
+    assert (path / "agent.pt").stat().st_size < 10_000
+    assert torch.equal(load(tmp_path, "last")[0]["agent"]["view"], large[3:7])
+
+
+@pytest.mark.parametrize(
+    ("state", "where"),
+    [
+        ({"a": {"b": [1, {2}]}}, r"agent\.a\.b\[1\]: a checkpoint holds no set"),
+        ({"f": print}, r"agent\.f: a checkpoint holds no builtin"),
+        ({"x": np.array([None])}, r"agent\.x: a checkpoint holds no array of object"),
+        ({"x": np.zeros(2, [("a", "f4")])}, r"agent\.x: a checkpoint holds no array"),
+        ({"__karolos__": 1}, "agent: keys"),
+        ({(1, 2): 1}, "agent: keys"),
+    ],
+)
+def test_what_cannot_be_kept_is_refused_by_its_path(tmp_path: Path, state: Any, where: str) -> None:
+    with pytest.raises(TypeError, match=where):
+        save(tmp_path, "last", {"agent": state}, {})
+    assert list(tmp_path.iterdir()) == []
