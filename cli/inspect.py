@@ -14,6 +14,9 @@ from .completion import complete_plugin
 from .output import print_line, print_rows
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from karolos.plugins.inspection import Inspection
 
 app = typer.Typer(
@@ -84,14 +87,19 @@ def _target(picture: Path | None, name: str) -> Path:
     return target
 
 
-def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
+def save_picture(picture: NDArray[np.uint8], target: Path) -> None:
+    """Write a picture. Raises MachineError."""
     from PIL import Image
 
     try:
-        if found.picture is not None:
-            Image.fromarray(found.picture).save(target)
+        Image.fromarray(picture).save(target)
     except OSError as error:
         raise MachineError(f"cannot write {target}: {error.strerror or error}") from error
+
+
+def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
+    if found.picture is not None:
+        save_picture(found.picture, target)
     if json:
         row = {"kind": kind, "name": found.name, "about": found.about, **found.tables, "picture": str(target)}
         print_rows([row], json=True)

@@ -19,7 +19,7 @@ from karolos import __version__, system
 from karolos.errors import KarolosError, MachineError, PluginError
 from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
 
-from . import db, inspect, plugins, runs, spec, sweeps
+from . import db, inspect, plugins, robot, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare, diff
@@ -74,7 +74,7 @@ for panel, parts in {
     "Train": (spec, check, run, resume, sweep, suite, transfer),
     "Look": (runs, sweeps, play, ui, board),
     "Compare": (compare, diff, zero_shot),
-    "Extend": (plugins, inspect),
+    "Extend": (plugins, inspect, robot),
     "Keep": (export, db),
 }.items():
     for part in parts:

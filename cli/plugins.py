@@ -11,7 +11,7 @@ from karolos.errors import PluginError
 from karolos.report.tables import Columns, Table, setting
 
 from .arguments import Json
-from .completion import complete_kind, complete_plugin_of_kind
+from .completion import complete_kind, complete_plugin, complete_plugin_of_kind
 from .output import print_line, print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
@@ -104,11 +104,20 @@ def new(
     tool: Annotated[
         str | None, typer.Option(metavar="LINK", help="The link of the URDF that is the tool frame, z forwards.")
     ] = None,
+    gripper: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What a robot carries in place of the hand in its URDF.",
+            autocompletion=complete_plugin("grippers"),
+        ),
+    ] = None,
 ) -> None:
     """Write a package with a working, tested plugin to start from. Prints its files, and what was assumed of a URDF."""
     from karolos.plugins.starter import write_starter
 
-    files, notes = write_starter(kind, name, out or Path(f"karolos-{name.replace('_', '-')}"), urdf=urdf, tool=tool)
+    folder = out or Path(f"karolos-{name.replace('_', '-')}")
+    files, notes = write_starter(kind, name, folder, urdf=urdf, tool=tool, gripper=gripper)
     for path in files:
         print_line(str(path))
     for note in notes:

@@ -136,6 +136,26 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
     return digest.hexdigest() if pending else None
 
 
+def copy_named(path: Path, folder: Path) -> Path:
+    """Copy a file, and the files that it names, into a folder where `find_named` finds them. Returns the copy.
+
+    Its fingerprint is that of the original. What has an absolute name stays where it is.
+    """
+    with writing(folder):
+        status = os.stat(path)
+        names = _content(str(path), status.st_mtime_ns, status.st_size, status.st_ino)[1]
+        plain = {name: name.partition("://")[2] or name for name in names}
+        up = max((os.path.normpath(one).count("..") for one in plain.values()), default=0)
+        copy = folder.joinpath(*["robot"] * up, path.name)
+        for name, one in {**plain, str(path): path.name}.items():
+            found = path if name == str(path) else find_named(name, path.parent)
+            if found is not None and not os.path.isabs(one):
+                target = Path(os.path.normpath(copy.parent / one))
+                target.parent.mkdir(parents=True, exist_ok=True)
+                target.write_bytes(found.read_bytes())
+    return copy
+
+
 def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
     """Name and path of the files below a folder, few more than count; one that links lead to twice is read once."""
     visited, count = set[str](), 0

@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 
 from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import opened
+from ..environments.build import opened, used
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
 from ..registry import closest
 from ..specification import Spec, spec_from_dict
-from ..specification.tree import RANDOMIZATION
+from ..specification.tree import FILES, RANDOMIZATION
 from ..training.assembly import located
-from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable, signature_of
+from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
 """Keys of a spec that define the environment of a test. The other keys define the training."""
@@ -38,7 +40,8 @@ class Player:
 def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
     """The spec with overrides of its environment. Its `randomization` is what a test draws.
 
-    Where the run's engine is not installed, another one takes its place.
+    Where the run's engine is not installed, another one takes its place. Where the joints of an arm are slower than
+    `robot.tool_step`, episodes are longer by as much, unless an override says how long; a warning says so.
 
     An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
     `randomize` these are the only distributions.
@@ -79,15 +82,30 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         )
     if not randomize:
         spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
-    with located(spec):
-        if differences := layout_differences(signature_of(spec, randomize=True), trained):
+    with located(spec), used(environment_of(spec, randomize=True)) as environment:
+        if differences := layout_differences(environment.signature, trained):
             changed = [_key(text) for text in overrides if _key(text).startswith(("robot", "task", "environment"))]
             raise UsageError(
                 "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
                 setting=[*changed, "environment"][0],
                 hint=SAME_LAYOUTS,
             )
-    return spec
+        timed = any(_key(text) in ("task", "task.max_steps") for text in overrides)
+        return spec if timed else _with_time(spec, environment)
+
+
+def _with_time(spec: Spec, environment: Environment) -> Spec:
+    """The spec, with longer episodes where the arm's joints are slower than the tool shall be."""
+    if not isinstance(environment, RobotTask) or spec.task is None or spec.robot is None:
+        return spec
+    asked = getattr(spec.robot.settings, "tool_step", None) or environment.robot.tool_step
+    if asked <= environment.robot.tool_step:
+        return spec
+    usual, slower = environment.signature.max_steps, asked / environment.robot.tool_step
+    steps = ceil(usual * slower)
+    warnings.warn(f"the arm is {slower:.1f} times slower: {steps} control steps instead of {usual}", stacklevel=3)
+    settings = spec.task.settings.model_copy(update={"max_steps": steps})
+    return spec.model_copy(update={"task": replace(spec.task, settings=settings)})
 
 
 def load_player(
@@ -124,7 +142,8 @@ def engine_note(saved: Spec, played: Spec) -> str | None:
 
 def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     """The keys of overrides that are parameters of the robot or task and not settings."""
-    named = spec_from_dict(saved.dump(), [text for text in overrides if _key(text).removesuffix(".name") in PARTS])
+    naming = (*PARTS, *(f"robot.{setting}" for _, setting in FILES))
+    named = spec_from_dict(saved.dump(), [text for text in overrides if _key(text).removesuffix(".name") in naming])
     parts = (("robot", named.robot), ("task", named.task))
     settings = {f"{key}.{name}" for key, part in parts if part for name in type(part.settings).model_fields}
     settings |= {f"{part}.name" for part in PARTS}
@@ -137,7 +156,8 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     if not others:
         return set()
     # Only robot and task together know their parameters.
-    with opened(named.recipe(randomize=False)) as environment:
+    joined = spec_from_dict(saved.dump(), [text for text in overrides if _key(text) not in others])
+    with opened(joined.recipe(randomize=False)) as environment:
         drawn = set(environment.declared) - settings if isinstance(environment, RobotTask) else set()
     for key, text in others.items():
         if not among(key, drawn) and (like := closest(key, drawn)):

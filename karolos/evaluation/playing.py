@@ -49,7 +49,7 @@ class FirstSuccesses(dict[int, int]):
 def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) -> Iterator[Moment]:
     """Play the first `episodes` test episodes of `seed`; with `testing.seed` these are the run's test episodes."""
     for episode, episode_seed in enumerate(test_seeds(seed, episodes)):
-        yield from _play_one(environment, policy, episode, episode_seed)
+        yield from play_one(environment, policy, episode, episode_seed)
 
 
 def play_failures(
@@ -65,9 +65,9 @@ def play_failures(
         raise UsageError("this environment does not define success", hint="leave out --failures")
     found = 0
     for episode, episode_seed in enumerate(test_seeds(seed, among)):
-        [end] = deque(_play_one(environment, policy, episode, episode_seed), maxlen=1)
+        [end] = deque(play_one(environment, policy, episode, episode_seed), maxlen=1)
         if not end.success:
-            yield from _play_one(environment, policy, episode, episode_seed)
+            yield from play_one(environment, policy, episode, episode_seed)
             found += 1
         if found == episodes:
             return
@@ -75,7 +75,8 @@ def play_failures(
         raise UsageError(f"none of the first {among:,} episodes fails", hint="leave out --failures")
 
 
-def _play_one(environment: Environment, policy: Policy, episode: int, seed: int) -> Iterator[Moment]:
+def play_one(environment: Environment, policy: Policy, episode: int, seed: int) -> Iterator[Moment]:
+    """Play the episode of this number, whose own seed is `seed`."""
     state = environment.reset(seed)
     policy.begin()
     step, total = 0, 0.0

@@ -12,17 +12,17 @@ from numpy.typing import NDArray
 from ..core import Discrete, Layout
 from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
+from ..errors import UsageError
 from ..evaluation.testing import test_seeds
 from ..randomization.randomization import RandomizedParameter
 from ..registry import blaming, load, names
 from ..robots.arm import Arm
-from ..robots.model import ArmModel
+from ..robots.proposal import doubts
 from ..simulation.engines import Engine, make_world
 from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
 from ..simulation.interface.robot import ControlMode
-from .contracts.case import candidate
+from .contracts.case import candidate, required
 from .contracts.joined import CONTROLS, join
-from .proposal import doubts
 
 Facts = dict[str, Any]
 """One row: names of columns and JSON-able values."""
@@ -55,6 +55,9 @@ def pair(
 def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> Inspection:
     """Facts about a robot and its gripper. `size`: of the picture in pixels; None: no picture."""
     plugin = load("robots", name)
+    if needed := required(plugin):
+        hint = "`karolos robot check FILE` shows an arm from a file"
+        raise UsageError(f"the robot {name} has no default for {', '.join(needed)}", hint=hint)
     own = "control" in plugin.Settings.model_fields
     modes = get_args(ControlMode) if issubclass(plugin, Arm) else CONTROLS if own else (None,)
     robots = {mode: _prepared(plugin, mode) for mode in modes}
@@ -76,8 +79,8 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
         tables |= _arm(first)
     if (grip := first.gripper) is not None:
         tables["gripper"] = [_grip(grip)]
-    if isinstance(model := getattr(plugin, "model", None), ArmModel):
-        tables |= {"doubts": found} if (found := [{"doubted": line} for line in doubts(model.description)]) else {}
+    if isinstance(first, Arm) and (found := doubts(first.model.description)):
+        tables["doubts"] = [{"doubted": line} for line in found]
     for mode, robot in robots.items():
         suffix = f" ({mode})" if mode else ""
         tables[f"action{suffix}"] = _fields(robot.action)
@@ -87,7 +90,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     tables["measures"] = [asdict(one) for one in first.measures]
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
     tables["settings"] = _settings(plugin)
-    return Inspection(name, _about(plugin), tables, _picture(name, None, size))
+    return Inspection(name, _about(plugin), tables, picture(name, None, size))
 
 
 @blaming()
@@ -110,7 +113,7 @@ def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> 
         "tool": [{"what": "tool centre point", **_named("x_m y_m z_m", model.tool)}],
         "workspace": arms,
     }
-    return Inspection(name, _about(plugin), tables, _picture(first, None, size, gripper=name) if first else None)
+    return Inspection(name, _about(plugin), tables, picture(first, None, size, gripper=name) if first else None)
 
 
 def _arm(arm: Arm) -> dict[str, list[Facts]]:
@@ -176,7 +179,7 @@ def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | Non
         "settings": _settings(plugin),
     }
     environment.close()
-    return Inspection(name, _about(plugin), tables, _picture(robot, name, size))
+    return Inspection(name, _about(plugin), tables, picture(robot, name, size))
 
 
 def _about(plugin: type) -> str:
@@ -213,8 +216,8 @@ def _settings(plugin: Any) -> list[Facts]:
     ]
 
 
-def _picture(robot: str, task: str | None, size: tuple[int, int] | None, **settings: Any) -> NDArray[np.uint8] | None:
-    """A picture of the first test episode's start, or of the robot alone at home."""
+def picture(robot: str, task: str | None, size: tuple[int, int] | None, **settings: Any) -> NDArray[np.uint8] | None:
+    """A picture of the first test episode's start, or of the robot alone at home. `settings`: of the robot."""
     if size is None:
         return None
     width, height = size

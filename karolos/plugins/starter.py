@@ -1,6 +1,6 @@
 """Starter packages: a small, complete and tested plugin of each kind, to be changed step by step.
 
-A robot or a gripper can be written from somebody's URDF; see `proposal`.
+A robot or a gripper can be written from somebody's URDF; see `karolos.robots.proposal`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribu
 
 
 def write_starter(
-    kind: str, name: str, out: Path, *, urdf: Path | None = None, tool: str | None = None
+    kind: str,
+    name: str,
+    out: Path,
+    *,
+    urdf: Path | None = None,
+    tool: str | None = None,
+    gripper: str | None = None,
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Write the package `karolos-<name>` into `out`; returns its files, sorted, and what was assumed of the URDF.
 
@@ -30,6 +36,7 @@ def write_starter(
         out: the package's folder; created if it is missing.
         urdf: a robot's or a gripper's description, instead of the made-up one.
         tool: the link of its tool frame, if it is not found by its name.
+        gripper: is mounted at the flange of a robot's URDF; by default the URDF's own, if there is one.
 
     Raises:
         UsageError: the kind or the name is invalid, another package has the name, or the folder is not empty or
@@ -51,7 +58,9 @@ def write_starter(
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
     if tool is not None and urdf is None:
         raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
-    contents, notes = _rendered(kind, name, urdf, tool)
+    if gripper is not None and (kind != "robot" or urdf is None):
+        raise UsageError("it is mounted on an arm", where="--gripper", hint="write a robot with --urdf FILE")
+    contents, notes = _rendered(kind, name, urdf, tool, gripper)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise UsageError("already exists", where=str(out), hint="name another folder with --out DIR")
@@ -67,7 +76,7 @@ def write_starter(
 
 
 def _rendered(
-    kind: str, name: str, urdf: Path | None, tool: str | None
+    kind: str, name: str, urdf: Path | None, tool: str | None, gripper: str | None
 ) -> tuple[dict[str, str | Path], tuple[str, ...]]:
     """The package, by paths below its folder: texts, and files that are copied into it; and notes."""
     values = {
@@ -94,18 +103,18 @@ def _rendered(
     if kind == "task":
         templates[f"{package}/part.obj"] = "part.obj"
     if kind == "gripper":
-        from .proposal import propose_gripper  # noqa: PLC0415
+        from ..robots.proposal import propose_gripper  # noqa: PLC0415
 
         model = folder / "gripper.urdf.txt" if urdf is None else urdf
         code, found = propose_gripper(Path(str(model)), tool)
         values.update(code)
         notes = () if urdf is None else found
     if urdf is not None:
-        from .proposal import propose, with_meshes  # noqa: PLC0415 (takes half a second)
+        from ..robots.proposal import Known, propose, with_meshes  # noqa: PLC0415 (takes half a second)
 
         del templates[f"{package}/{name}.urdf"]
         if kind == "robot":
-            proposal = propose(urdf, tool)
+            proposal = propose(urdf, gripper, Known(tool))
             values.update(proposal.code())
             notes = proposal.notes
         contents[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)

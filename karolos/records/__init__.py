@@ -15,6 +15,7 @@
     export/         its policy for use without karolos, after `karolos export`
     transfers.jsonl one line per test of its policies under changed settings
     labels.json     tags and note
+    robot/          copies of an arm's file and its meshes, of the robot `urdf`
     progress.json   how far it is, while a launcher's process executes it
     launch.json     host of that process, the software that it must have, and why it refused (`problem`)
     stop            why that process has to stop, written by the process that follows the run

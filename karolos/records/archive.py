@@ -50,6 +50,7 @@ _FILE = re.compile(
     r"|export/(?:policy\.(?:npz|json|onnx)|golden\.npz)"
     rf"|checkpoints/(?:{PART.pattern}|\.{PART.pattern}\.previous)/(?:{PART.pattern}\.pt|manifest\.json)"
     r"|checkpoints/\.arrays/[0-9a-f]{64}"
+    r"|robot/(?:[0-9A-Za-z_-][0-9A-Za-z._-]{0,99}/){0,12}[0-9A-Za-z_-][0-9A-Za-z._-]{0,99}"
 )
 """A file that a run has, by its path below the run's folder."""
 _OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop|slurm\.job")

@@ -22,6 +22,7 @@ from ..files import (
     FileLock,
     Lines,
     append_lines,
+    copy_named,
     locked,
     parse_object,
     read_lines,
@@ -51,6 +52,8 @@ from .run_records import (
 LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
+ROBOT = "robot"
+"""Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")
@@ -166,6 +169,9 @@ class RunFolder:
         if code and code.diff:
             write_whole(self.path / "code.diff", code.diff)
         write_json(self.path / "resolved.json", resolved)
+        robot = resolved.get("robot") or {}
+        if os.path.isfile(robot.get("file") or ""):
+            copy_named(Path(robot["file"]), self.path / ROBOT)
         self._run |= {
             "experiment": experiment,
             "changed": changed,
@@ -200,7 +206,12 @@ class RunFolder:
         except OSError:
             return None
         made = self._run.get("resolved_sha256")
-        return parse_object(data) if made in (None, sha256(data).hexdigest()) else None
+        spec = parse_object(data) if made in (None, sha256(data).hexdigest()) else None
+        robot = (spec or {}).get("robot")
+        if isinstance(robot, dict) and isinstance(file := robot.get("file"), str):
+            copies = [one for one in (self.path / ROBOT).rglob("*") if one.name == re.split(r"[/\\]", file)[-1]]
+            robot["file"] = str(copies[0].absolute()) if copies else file
+        return spec
 
     def set_state(self, state: State, *, error: str | None = None, **amounts: Any) -> None:
         """Replace the state by any but lost, and the error: why it failed, in one line.

@@ -100,7 +100,7 @@ class Arm:
 
     def __init__(self, settings: ArmSettings) -> None:
         self.settings = settings
-        self.model = model = mounted(self.model, settings.gripper)
+        self.model = model = mounted(self.bare_model(settings), settings.gripper)
         self._joints = arm_joints(model)
         self.limits = JointLimits(
             *(
@@ -112,7 +112,9 @@ class Arm:
         self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
         self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
-        self.base: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
+        self.base: Vector = (
+            (-middle_x, -middle_y, -model.floor) if settings.base == "centred" else (0.0, 0.0, -model.floor)
+        )
         tool = np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)
         self.chain = Chain(self._joints, tool, self.base)
         self.workspace = model.workspace.moved(self.base)
@@ -132,6 +134,11 @@ class Arm:
         self.gripper: Gripper | Cup | None = model.fingers.gripper if model.fingers else model.cup
         self.home_joints = model.home
         self.prepare(TaskNeeds(gripper=False, period=1 / 24))
+
+    @classmethod
+    def bare_model(cls, settings: ArmSettings) -> ArmModel:  # noqa: ARG003  (of an arm that comes from a file)
+        """The model without a gripper where the arm has a flange."""
+        return cls.model
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         return self.chain.forward(joints)
@@ -153,7 +160,7 @@ class Arm:
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
-        self.tool_step = self.settings.tool_step
+        self.tool_step = min(self.settings.tool_step, self.model.tool_step or inf)
         self.mode = mode = self.settings.control or needs.control
         self.engine_needs: dict[str, Ability] = {}
         if mode == "impedance":

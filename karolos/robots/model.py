@@ -32,7 +32,7 @@ class ArmModel:
     """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
 
     The revolute and continuous joints of the URDF that are not locked are the arm: a serial chain from its base. The
-    base is the link without a joint above it. Positions are those in its frame, with z = 0 on the floor.
+    base is the link without a joint above it. Positions are those in its frame, with z = `floor` on the floor.
     """
 
     urdf: Path
@@ -45,13 +45,17 @@ class ArmModel:
     tool: Vector = (0.0, 0.0, 0.0)
     """Tool centre point in that frame, in m. With a flange it follows from the gripper."""
     flange: Flange | None = None
-    """Where a gripper is mounted; None: the URDF holds the gripper, if there is one."""
+    """Where a gripper is mounted; None: the URDF holds the gripper, if there is one, and nothing takes its place."""
+    cut: tuple[str, ...] = ()
+    """Joints of the URDF that are left out where a gripper is mounted, with the hand that they carry."""
     gripper: str | None = None
-    """What is mounted if the spec names no other: its name."""
+    """What is mounted if the spec names no other: its name; None: the hand in the URDF, or nothing."""
     payload: float | None = None
     """What the flange carries, the gripper included, in kg."""
     dexterous: Box | None = None
     """Part of the workspace in which the tool can be turned by `turn` and tilted by `tilt`, in m; None: unknown."""
+    floor: float = 0.0
+    """Height in m of the floor, or of the table that the arm works on, in the frame of its base."""
     tilt: float = 0.3
     """Largest angle of the tool from pointing down, in any direction, in rad."""
     turn: float = 0.8
@@ -63,9 +67,11 @@ class ArmModel:
     cup: Cup | None = None
     """Of a gripper that sucks, instead of fingers."""
     accelerations: tuple[float, ...] | None = None
-    """Largest acceleration of each joint in rad/s2 as its maker publishes it; None where no maker does."""
+    """Largest acceleration of each joint in rad/s2, by its maker or by what its motors can give; None: unknown."""
     tool_speed: float | None = None
     """Largest speed of the tool centre point in m/s as its maker publishes it; None where no maker does."""
+    tool_step: float | None = None
+    """Largest change of the tool position per control step that slow joints allow, in m; None: they allow the usual."""
     self_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that collide; all other pairs of the arm's links do not. `FINGERS` stands for each finger."""
     locked: Mapping[str, float] = field(default_factory=dict)
@@ -79,7 +85,8 @@ class ArmModel:
     def description(self) -> Description:
         """What is simulated of the URDF."""
         fingers = self.fingers.joints if self.fingers is not None else ()
-        return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers, mount=self.mount)
+        cut = self.cut if self.mount else ()
+        return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers, mount=self.mount, without=cut)
 
 
 def check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:

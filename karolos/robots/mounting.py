@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import cache
 from itertools import product
 from math import atan2, cos, dist, sin
+from pathlib import Path
 
 import numpy as np
 
@@ -37,48 +38,51 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
         PluginError: the gripper is unknown, or the arm cannot use it.
     """
     own, flange = model.gripper, model.flange
-    if flange is None or own is None:
+    if flange is None or name is own is None:
         if name is not None:
             hint = "its own is part of its URDF; an arm with a `flange` in its ArmModel takes another"
             raise UsageError(f"this arm cannot take the gripper {name}", setting="robot.gripper", hint=hint)
-        return model
-    gripper: GripperModel = load("grippers", name or own).model
+        return replace(model, self_collisions=_pairs(model, model.fingers.links if model.fingers else ()))
+    chosen = name or own or ""
+    gripper: GripperModel = load("grippers", chosen).model
     if model.payload is not None and gripper.mass > model.payload:
-        what = f"{name or own} weighs {gripper.mass:.2f} kg, more than the payload of {model.payload:g} kg"
+        what = f"{chosen} weighs {gripper.mass:.2f} kg, more than the payload of {model.payload:g} kg"
         raise UsageError(what, setting="robot.gripper", hint="choose a lighter gripper")
-    path = gripper.variants.get(model.urdf.stem, gripper.urdf)
-    mount = Mount(name or own, path, flange.link, flange.position, flange.rpy)
+    built_in = model.urdf.parent == Path(__file__).parent / "urdf"  # a stranger's ur5.urdf is none
+    path = gripper.variants.get(model.urdf.stem, gripper.urdf) if built_in else gripper.urdf
+    mount = Mount(chosen, path, flange.link, flange.position, flange.rpy)
     fingers, links, joints = gripper.fingers, tuple[str, ...](), tuple[str, ...]()
     if fingers is not None:
         (a, b), (c, d) = fingers.links, fingers.joints
         links, joints = (mount.named(a), mount.named(b)), (mount.named(c), mount.named(d))
         fingers = replace(fingers, links=links, joints=joints)
-    pairs = [
-        (first, second)
-        for pair in model.self_collisions
-        for first, second in product(*(links if link == FINGERS else (link,) for link in pair))
-    ]
     whole = replace(
         model,
         tool=_placed(flange.position, urdf.rotation_matrix(*flange.rpy), gripper.tool),
         fingers=fingers,
         cup=gripper.cup,
         mount=mount,
-        self_collisions=tuple(pairs),
+        self_collisions=_pairs(model, links),
+        tool_rpy=model.tool_rpy if own else flange.rpy,
     )
     if name in (None, own):
         return whole
-    before: GripperModel = load("grippers", own).model
-    found = urdf.load(model.urdf, tuple(sorted(model.locked.items())), joints, mount=mount)
-    arm = tuple(joint for joint in found.joints if joint.revolute)
+    arm = tuple(joint for joint in whole.description.joints if joint.revolute)
     x, y, _ = model.workspace.low
-    box = Box((x, y, gripper.least_height), model.workspace.high)
+    box = Box((x, y, model.floor + gripper.least_height), model.workspace.high)
     box = _reached(arm, whole.tool, whole.tool_rpy, whole.home, box)
     whole = replace(whole, workspace=box, dexterous=None, steps_down=STEPS_DOWN)
-    if model.dexterous is None or name not in model.turn_with:
+    if model.dexterous is None or own is None or name not in model.turn_with:
         return whole
+    before: GripperModel = load("grippers", own).model
     turned = _turned(model.dexterous, gripper.tool[2] - before.tool[2], model.tilt, box)
     return replace(whole, dexterous=turned, turn=model.turn_with[name])
+
+
+def _pairs(model: ArmModel, fingers: tuple[str, ...]) -> tuple[tuple[str, str], ...]:
+    """The pairs of links that collide, with each finger where the model says FINGERS."""
+    ends = ((fingers if link == FINGERS else (link,) for link in pair) for pair in model.self_collisions)
+    return tuple((first, second) for pair in ends for first, second in product(*pair))
 
 
 def _placed(origin: Vector, rotation: Array, position: Vector) -> Vector:

@@ -23,7 +23,7 @@ from ..core import Array
 from ..errors import PluginError, UsageError
 from . import meshes, urdf
 from .geometry import Quaternion, Vector, matrix_of, quaternion_of
-from .parts import Link, Mechanism, mechanism
+from .parts import GREY, Link, Mechanism, link_element, mechanism, place_element
 from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, inertia_of, volume_of
 
 _LEFT_OUT = {
@@ -91,6 +91,34 @@ def hulls(robot: Element) -> dict[str, str]:
         if what := [filled for file in files if (filled := meshes.solid(file).filled)]:
             found[link.get("name", "")] = what[0]
     return found
+
+
+def arm(path: Path, speed: float) -> Element:
+    """The URDF of an arm in an MJCF file, with absolute names of meshes. What fixtures do not know is left out.
+
+    Its torques are those of its actuators; MJCF says no speeds.
+
+    Args:
+        path: of the file.
+        speed: of all joints, in rad/s.
+
+    Raises:
+        PluginError: it is no MJCF file of one arm. The message names element and line.
+    """
+    root, lines = urdf.parse(path, urdf.text_of(path))
+    if root.tag != "mujoco":
+        raise PluginError("not an MJCF file", where=str(path), hint="its root is <mujoco>")
+    reader = _MjcfArm(path, "convex", root, lines)
+    list(reader.links())
+    torques: dict[str, float] = {}
+    for actuator in root.iterfind("actuator/*"):
+        limits = actuator.get("forcerange") or (actuator.get("ctrlrange") if actuator.tag == "motor" else None)
+        gear = (urdf.numbers(actuator.get("gear", "1")) or [1.0])[0]
+        torques[actuator.get("joint", "")] = max(map(abs, urdf.numbers(limits or "0") or [0.0])) * abs(gear)
+    for joint in reader.robot.iterfind("joint"):
+        for limit in joint.findall("limit"):
+            limit.attrib.update(effort=repr(torques.get(joint.get("name", ""), 0.0)), velocity=repr(speed))
+    return reader.robot
 
 
 class _MjcfReader:
@@ -263,9 +291,61 @@ class _MjcfReader:
             raise self._error(element, f"{', '.join(strange)} is not known to karolos")
         return parts
 
-    def _error(self, element: Element, what: str) -> PluginError:
+    def _error(
+        self, element: Element, what: str, hint: str = "docs/parts.md lists what of MJCF is known; a URDF may say more"
+    ) -> PluginError:
         place = f"{self._path}:{self._lines.get(element, 0)}: {element.tag} {element.get('name', '')}".strip()
-        return PluginError(what, where=place, hint="docs/parts.md lists what of MJCF is known; a URDF may say more")
+        return PluginError(what, where=place, hint=hint)
+
+
+class _MjcfArm(_MjcfReader):
+    """Reads an arm: bodies without a joint are frames or parts of the body before, and unknown parts are left out."""
+
+    def __init__(
+        self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
+    ) -> None:
+        super().__init__(path, collision, root, lines)
+        self.robot = Element("robot", name=root.get("model", "arm"))
+
+    def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
+        parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
+        for part in parts:
+            self._complete(part, usual)
+        joints = [part for part in parts if part.tag == "joint"]
+        if len(joints) > 1:
+            raise self._error(body, f"{len(joints)} joints of one body", "an arm has one for each")
+        pivot = self._numbers(joints[0], "pos", (0.0, 0.0, 0.0)) if joints else np.zeros(3)
+        name, (place, turn) = body.get("name", f"body{len(self.robot)}"), self._pose(body)
+        drawn = [geom for geom in parts if geom.tag == "geom"]
+        solid = [geom for geom in drawn if (geom.get("contype"), geom.get("conaffinity")) != ("0", "0")] or drawn
+        shapes = [self._shape(geom, pivot, "convex") for geom in solid]
+        mass, inertia = sum(self._number(geom, "mass", 0.0) for geom in drawn), None
+        for inertial in (part for part in parts if part.tag == "inertial"):
+            mass, (centre, axes) = self._number(inertial, "mass", 0.0), self._pose(inertial)
+            moments = self._numbers(inertial, "diaginertia", (0.0,) * 3)
+            inertia = Inertia(_vector(centre - pivot), _vector(moments), axes)
+        self.robot.append(link_element(name, shapes, mass, inertia, GREY))
+        if parent:
+            kind = {"hinge": "revolute", "slide": "prismatic"}[joints[0].get("type", "hinge")] if joints else "fixed"
+            title = joints[0].get("name", f"{name}_joint") if joints else f"{name}_fixed"
+            made = SubElement(self.robot, "joint", name=title, type=kind)
+            SubElement(made, "parent", link=parent)
+            SubElement(made, "child", link=name)
+            place_element(made, _vector(place - offset + matrix_of(turn) @ pivot), turn)
+            for joint in joints:
+                scale = self._degree if kind == "revolute" else 1.0
+                low, high = self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale
+                axis = self._numbers(joint, "axis", (0.0, 0.0, 1.0))
+                SubElement(made, "axis", xyz=" ".join(map(repr, axis.tolist())))
+                SubElement(made, "limit", lower=repr(float(low)), upper=repr(float(high)))
+                damping, friction = (self._number(joint, key, 0.0) for key in ("damping", "frictionloss"))
+                SubElement(made, "dynamics", damping=repr(damping), friction=repr(friction))
+        for part in parts:
+            if part.tag == "body":
+                yield from self._body(part, name, pivot, usual)
+
+    def _parts(self, element: Element, known: str) -> list[Element]:
+        return [part for part in element if part.tag in known.split()]
 
 
 def _vector(values: Array) -> Vector:

@@ -152,6 +152,18 @@ def _solid(path: Path, data: bytes) -> Solid:
     return Solid(volume, centre, tensor, filled, "")
 
 
+def hull(points: Array) -> Solid:
+    """The convex hull of points (n, 3); of fewer than four, or flat ones, a ball of 6 cm around their middle."""
+    from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415
+
+    try:
+        found = ConvexHull(points)
+    except (QhullError, ValueError):
+        middle: Array = points.mean(0) if len(points) else np.zeros(3)
+        return Solid(1.13e-4, middle, 0.4 * 0.03**2 * np.eye(3), "", "flat")
+    return Solid(*_moments(points, found.simplices, convex=True), "", "")
+
+
 def _closed(faces: NDArray[np.intp]) -> bool:
     """Whether triangles (n, 3) of corners meet at each edge, as many in one direction as in the other."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
@@ -200,13 +212,15 @@ def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
     return max(shares)
 
 
-def _volumes(corners: NDArray[np.float32], faces: NDArray[np.intp]) -> Array:
+def _volumes(corners: NDArray[np.floating[Any]], faces: NDArray[np.intp]) -> Array:
     """Volumes (n,) of the tetrahedra from the mean corner to each triangle; negative behind one."""
     volumes: Array = np.linalg.det(corners[faces] - corners.mean(0).astype(float)) / 6
     return volumes
 
 
-def _moments(corners: NDArray[np.float32], faces: NDArray[np.intp], *, convex: bool) -> tuple[float, Array, Array]:
+def _moments(
+    corners: NDArray[np.floating[Any]], faces: NDArray[np.intp], *, convex: bool
+) -> tuple[float, Array, Array]:
     """Volume, centre and inertia per mass of what triangles enclose: sums over tetrahedra from one point.
 
     Triangles of a hull may face either way: the point is inside, and each tetrahedron counts.

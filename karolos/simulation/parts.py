@@ -63,7 +63,7 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
         inertia: by default that of a body as dense everywhere.
     """
     robot = Element("robot", name="body")
-    robot.append(_link("body", shapes, mass, inertia, None))
+    robot.append(link_element("body", shapes, mass, inertia, None))
     return robot
 
 
@@ -71,14 +71,14 @@ def mechanism(links: Sequence[Link]) -> Mechanism:
     """Links made in code, the base first. Raises UsageError for a link that cannot move, or on what it does."""
     robot, known = Element("robot", name=links[0].name), set[str]()
     for link in links:
-        robot.append(_link(link.name, link.shapes, link.mass, link.inertia, link.colour))
+        robot.append(link_element(link.name, link.shapes, link.mass, link.inertia, link.colour))
         low, high = link.range
         if known and not (link.parent in known and link.mass > 0 and low < high and any(link.axis)):
             hint = "a parent before it, mass > 0, range with low < high, an axis"
             raise UsageError(f"link {link.name} cannot move", hint=hint)
         if known:
             joint = SubElement(robot, "joint", name=link.name, type={"slide": "prismatic"}.get(link.joint, "revolute"))
-            _place(joint, link.position, link.orientation)
+            place_element(joint, link.position, link.orientation)
             SubElement(joint, "parent", link=link.parent)
             SubElement(joint, "child", link=link.name)
             SubElement(joint, "axis", xyz=_text(link.axis))
@@ -88,11 +88,14 @@ def mechanism(links: Sequence[Link]) -> Mechanism:
     return Mechanism(robot, {link.name: link.friction for link in links[1:]})
 
 
-def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None, look: Colour | None) -> Element:
+def link_element(
+    name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None, look: Colour | None
+) -> Element:
+    """A <link>. `inertia`: by default that of a body as dense everywhere; `look`: None to draw meshes alone."""
     link = Element("link", name=name)
     found = inertia or (inertia_of(shapes, mass) if shapes and mass else Inertia((0.0, 0.0, 0.0), (mass, mass, mass)))
     inertial = SubElement(link, "inertial")
-    _place(inertial, found.centre, found.axes)
+    place_element(inertial, found.centre, found.axes)
     SubElement(inertial, "mass", value=repr(mass))
     moments = dict(zip(("ixx", "iyy", "izz"), map(repr, found.moments), strict=True))
     SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
@@ -102,7 +105,7 @@ def _link(name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | No
             kinds.append(("visual", _mesh(shape.path, shape.scale) if isinstance(shape, Mesh) else _geometry(shape)))
         for kind, geometry in kinds:
             made = SubElement(link, kind)
-            _place(made, shape.position, shape.orientation)
+            place_element(made, shape.position, shape.orientation)
             SubElement(made, "geometry").append(geometry)
             if look is not None and kind == "visual":
                 SubElement(SubElement(made, "material", name=f"{name} {_text(look)}"), "color", rgba=_text(look))
@@ -133,7 +136,8 @@ def _geometry(shape: Shape) -> Element:
     raise TypeError(f"no shape: {shape!r}")
 
 
-def _place(element: Element, position: Vector, orientation: Quaternion) -> None:
+def place_element(element: Element, position: Vector, orientation: Quaternion) -> None:
+    """Give an element an <origin>."""
     SubElement(element, "origin", xyz=_text(position), rpy=_text(urdf.roll_pitch_yaw(matrix_of(orientation))))
 
 

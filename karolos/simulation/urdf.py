@@ -271,7 +271,10 @@ def load(
     slides: tuple[str, ...] = (),
     strict: bool = True,
     driven: bool = True,
+    *,
     mount: Mount | None = None,
+    without: tuple[str, ...] = (),
+    text: str | None = None,
 ) -> Description:
     """What is simulated of a URDF. The result is shared until the file changes, and must not be changed.
 
@@ -287,12 +290,14 @@ def load(
         strict: whether limits, masses and meshes must be such that the robot can be simulated.
         driven: whether joints have motors, so that they need a largest effort and speed.
         mount: a gripper that is not in the file.
+        without: joints that are left out, with all that they carry: a hand in whose place another one is mounted.
+        text: of the file, where it is not what is written there.
 
     Raises:
         PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
     """
-    texts = text_of(path), text_of(mount.path) if mount else ""
-    return _load(path, texts, locked, slides, (strict, driven), mount)
+    texts = text_of(path) if text is None else text, text_of(mount.path) if mount else ""
+    return _load(path, texts, locked, slides, (strict, driven), (mount, without))
 
 
 @lru_cache(maxsize=256)
@@ -302,11 +307,13 @@ def _load(
     locked: tuple[tuple[str, float], ...],
     slides: tuple[str, ...],
     how: tuple[bool, bool],
-    mount: Mount | None,
+    hand: tuple[Mount | None, tuple[str, ...]],
 ) -> Description:
     """`load` of files with these texts: of the robot, and of the gripper that is mounted."""
-    strict, driven = how
+    (strict, driven), (mount, without) = how, hand
     source = _Source(path, texts[0])
+    if without:
+        locked = _cut(source.robot, without, locked)
     if mount is not None:
         _mount(source, mount, texts[1])
     robot, order = source.robot, _tree(source)
@@ -341,6 +348,21 @@ def _load(
             if _check_link(link, source, base=name == root, least=FINGER_MASS if name in fingers else 0.0):
                 corrected.append(name)
     return Description(robot, tuple(found), carriers, frames, tuple(corrected))
+
+
+def _cut(
+    robot: Element, without: tuple[str, ...], locked: tuple[tuple[str, float], ...]
+) -> tuple[tuple[str, float], ...]:
+    """Leave out joints with all links and joints beyond them; returns what of `locked` is left."""
+    gone = [joint for joint in robot.findall("joint") if joint.get("name") in without]
+    for joint in gone:  # which grows
+        child = link_of(joint, "child")
+        gone += [one for one in robot.findall("joint") if link_of(one, "parent") == child and one not in gone]
+    links = {link_of(joint, "child") for joint in gone}
+    for element in [*gone, *(link for link in robot.findall("link") if link.get("name") in links)]:
+        robot.remove(element)
+    names = {joint.get("name") for joint in gone}
+    return tuple((name, position) for name, position in locked if name not in names)
 
 
 def _mount(source: _Source, mount: Mount, text: str) -> None:

@@ -24,6 +24,7 @@ from .tree import (
     Mark,
     Node,
     Scalar,
+    anchored,
     from_plain,
     merged,
     nested,
@@ -149,7 +150,7 @@ class SpecFiles:
             raise refusal(node.at, "a spec is a mapping of keys to values", "begin with `robot: NAME`")
         entries = dict(node.mapping)
         extends = entries.pop("extends", None)
-        tree = normalised(Node(entries, start))
+        tree = anchored(normalised(Node(entries, start)), Path(file).parent)
         if extends is not None and extends.value is not None:
             for target in reversed([extends] if extends.items is None else extends.items):
                 try:

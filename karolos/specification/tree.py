@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Integral, Real
+from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from ..errors import Problem, SpecError, is_secret
@@ -30,6 +31,9 @@ SWEEP = "sweep"
 TRANSFER = "transfer"
 REMOVABLE = ((), (RANDOMIZATION,), (SWEEP,), (SWEEP, "space"), (TRANSFER,), (TRANSFER, "variants"))
 """Mappings of a spec whose entries null removes. Nulls within a part are settings."""
+
+FILES = {("urdf", "file")}
+"""Plugins and their settings that name a file relative to the spec."""
 
 MAX_DEPTH = 32
 """Largest depth of nested mappings and lists. A spec needs six."""
@@ -225,6 +229,22 @@ def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
         yield Problem(tree.at, dotted(path), what, "write the path itself; a relative one moves with its project")
 
 
+def anchored(node: Node, folder: FilePath) -> Node:
+    """The tree with absolute names of the files that parts name relative to `folder`."""
+    if node.items is not None:
+        return Node([anchored(one, folder) for one in node.items], node.at, node.key)
+    if node.mapping is None:
+        return node
+    plugin = node.get("name")
+    entries = {
+        key: Node(str(folder / one.value), one.at, one.key)
+        if isinstance(one.value, str) and (key == "robot.file" or (plugin and (plugin.value, key) in FILES))
+        else anchored(one, folder)
+        for key, one in node.mapping.items()
+    }
+    return Node(entries, node.at, node.key)
+
+
 def is_part(path: tuple[str, ...]) -> bool:
     """Whether this path of a spec holds a part."""
     return (len(path) == 1 and path[0] in PARTS) or (len(path) == 2 and path[0] == RANDOMIZATION)
@@ -301,7 +321,7 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
     tree = written
     for change in changes:
         tree = merged(tree, _with_shared_settings(tree, change))
-    entries = dict(_without_nulls(tree).mapping or {})
+    entries = dict(anchored(_without_nulls(tree), FilePath.cwd()).mapping or {})
     joined = "robot" in entries and "task" in entries
     for key, name in DEFAULT_PLUGINS.items():
         if joined or name != ROBOT_TASK:  # below what is given: `buffer: {capacity: 1e5}` needs no name

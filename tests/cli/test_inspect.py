@@ -8,13 +8,14 @@ import pytest
 from karolos_cli.inspect import app
 from PIL import Image
 from support.commands import call
+from support.robots import ROBOTS
 
 from karolos.registry import names
 
 SMALL = ("--width", "32", "--height", "24")
 
 
-@pytest.mark.parametrize("name", names("robots"))
+@pytest.mark.parametrize("name", ROBOTS)
 def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     target = tmp_path / "robot.png"
     code, out, err = call(app, "robot", name, "--out", str(target), *SMALL, "--json")

@@ -8,6 +8,7 @@ import pytest
 from support.closing import opened
 from support.rig import ENGINES, part
 from support.rig import made as made_of
+from support.robots import ROBOTS
 
 from karolos.environments.build import build_environment
 from karolos.environments.robot_task import RobotTask
@@ -145,7 +146,7 @@ def test_recipe_without_a_robot_or_with_one_too_many_is_refused() -> None:
 
 
 @pytest.mark.parametrize("task", names("tasks"))
-@pytest.mark.parametrize("robot", names("robots"))
+@pytest.mark.parametrize("robot", ROBOTS)
 def test_camera_shows_every_goal_and_the_robot(robot: str, task: str) -> None:
     made = opened(pair(robot, task))
     view = view_of(640, 480, made.task.camera)

@@ -7,6 +7,7 @@ from itertools import product
 
 import pytest
 import torch
+from support.robots import ROBOTS
 
 from karolos.plugins.contracts import Case, candidate, cases, environments
 from karolos.plugins.contracts.checking import of_pair
@@ -51,13 +52,13 @@ def installed_cases() -> Iterator[Case]:
                 yield from cases(candidate(kind, name), alone=True)
     for name, settings in DISTRIBUTIONS.items():
         yield from cases(candidate("distributions", name, **settings))
-    for robot, task in product(names("robots"), names("tasks")):
+    for robot, task in product(ROBOTS, names("tasks")):
         usual = robot == USUAL["robots"] or task == USUAL["tasks"]
         for case in of_pair(candidate("robots", robot), candidate("tasks", task)):
             if usual or (in_control_of(task, case) and case.promise not in ANYWHERE):
                 yield case
     if BULLET.installed:
-        for robot in names("robots"):
+        for robot in ROBOTS:
             yield from cases(candidate("robots", robot, "bullet"), alone=True)
         # the other robots: `karolos plugins check robot NAME --engine bullet`
         for task in names("tasks"):

@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from karolos_cli.plugins import app
 from support.gantry import Gantry
+from support.robots import ROBOTS
 from typer.testing import CliRunner
 
 import karolos.plugins.contracts
@@ -39,7 +40,7 @@ class Picky(candidate("tasks", "reach").plugin):  # type: ignore[misc]  # a clas
 
 
 def test_no_installed_task_refuses_an_installed_robot() -> None:
-    for robot in names("robots"):
+    for robot in ROBOTS:
         for task in names("tasks"):
             found = of_pair(candidate("robots", robot), candidate("tasks", task))
             assert pairs.the_task_refuses_the_robot not in {case.promise for case in found}

@@ -50,6 +50,11 @@ class Candidate:
             raise UsageError(first["msg"], where=place, hint=_HINT) from None
 
 
+def required(plugin: type[Any]) -> list[str]:
+    """The settings of a plugin that have no default."""
+    return [name for name, one in plugin.Settings.model_fields.items() if one.is_required()]
+
+
 def candidate(kind: str, name: str, engine: Engine | None = None, **settings: Any) -> Candidate:
     """An installed plugin. Raises UsageError or PluginError as `registry.load`."""
     return Candidate(kind, name, load(kind, name), settings, engine)

@@ -14,7 +14,7 @@ from ...robots.arm import Arm
 from ...simulation.engines import ENGINES
 from ...simulation.interface import Cup
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
-from .case import Candidate, Case, candidate
+from .case import Candidate, Case, candidate, required
 from .joined import TURNING, controls, goes_with, refusal, under
 
 KINDS = ("robots", "grippers", "tasks", "agents", "buffers", "environments", "distributions")
@@ -130,12 +130,13 @@ def _of_robot(one: Candidate) -> list[Case]:
     found += [case for group in groups for mode in modes for case in group.cases(mode)]
     if is_arm:
         joint, cartesian = under(one, "joint"), under(one, "cartesian")
+        model = one.plugin(one.settled()).model
         found += robots.JOINT_CONTROL.cases(joint) + robots.LIMITS.cases(joint)
-        found += robots.SHEET.cases(joint) if one.plugin.model.accelerations is not None else []
+        found += robots.SHEET.cases(joint) if model.accelerations is not None else []
         found += robots.CARTESIAN_CONTROL.cases(cartesian)
         found += _of_grip(cartesian)
         for mode in turned:
-            found += robots.TURNED.cases(mode) if one.plugin.model.dexterous is not None else []
+            found += robots.TURNED.cases(mode) if model.dexterous is not None else []
             found += robots.IMPEDANCE_CONTROL.cases(mode) if mode.settings["control"] == "impedance" else []
     return found
 
@@ -169,4 +170,5 @@ def _has_gripper(robot: Candidate) -> bool:
 
 
 def _all(kind: str) -> list[Candidate]:
-    return [candidate(kind, name) for name in names(kind)]
+    """All installed plugins of a kind that work at their defaults."""
+    return [one for name in names(kind) if not required((one := candidate(kind, name)).plugin)]

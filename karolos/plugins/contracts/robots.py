@@ -15,6 +15,7 @@ from ...core import Array, FloatArray, random_actions
 from ...core.seeding import Generator
 from ...environments.robot_task import RobotTask
 from ...randomization.randomization import RandomizedParameter
+from ...robots.settings import ArmSettings
 from ...simulation.geometry import inverse, multiply, rotated, rotation_vector
 from ...simulation.interface import Body, Cup, Gripper, World
 from ...simulation.shapes import Cuboid
@@ -99,9 +100,11 @@ def the_tool_reaches_every_corner_of_the_workspace(environment: RobotTask) -> No
     """The tool comes within 5 mm of every corner and of the centre of every edge and face of the workspace."""
     robot = environment.robot
     box = robot.workspace
+    steps = 150 if "impedance" in robot.engine_needs.values() else 45  # a spring is slower
+    slower = max(1.0, ArmSettings.model_fields["tool_step"].default / robot.tool_step)  # so are slow joints
     for x, y, z in product(*zip(box.low, box.centre, box.high, strict=True)):
         environment.reset(0)
-        for _ in range(150 if "impedance" in robot.engine_needs.values() else 45):  # a spring is slower
+        for _ in range(round(steps * slower)):
             environment.step(robot.towards((x, y, z), 0.0))
         distance = float(np.linalg.norm(np.subtract(robot.tool_position, (x, y, z))))
         demand(distance < 0.005, f"the tool stays {1000 * distance:.1f} mm away from {x:.3f} {y:.3f} {z:.3f}")

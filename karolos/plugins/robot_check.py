@@ -1,0 +1,66 @@
+"""Everything that somebody should know of an arm's file, at once: what is wrong, assumed, doubted, and not kept."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from ..errors import KarolosError
+from ..robots.from_file import FromFile, proposal_of
+from ..robots.repair import Finding, Repair
+from .contracts import candidate, cases, results
+from .inspection import picture
+
+Row = dict[str, Any]
+"""What is said of a file: its kind (wrong, assumed, doubted, promise), and the text."""
+
+
+def check_file(
+    path: Path, *, repaired: Path | None = None, mass: float | None = None, promises: bool = True, **known: Any
+) -> Iterator[Row]:
+    """What is wrong with an arm's file, what is assumed and doubted, and which promises it keeps.
+
+    A file that cannot be used as it is goes on as its repaired copy, if that can be used.
+
+    Args:
+        path: of the URDF.
+        repaired: where to write the repaired copy; None: nowhere.
+        mass: of the arm in kg, as the data sheet says.
+        promises: whether to check the promises of a robot, which takes some seconds.
+        known: settings of the robot `urdf` other than the defaults.
+
+    Raises MachineError if the copy cannot be written.
+    """
+    repair = Repair(path, mass)
+    for finding in repair.findings:
+        yield {"kind": "wrong", **asdict(finding)}
+    if repaired is not None:
+        repair.write(repaired)
+    if repair.robot is None:
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        used = path
+        if repair.findings:
+            used = repaired or Path(folder, path.name).with_suffix(".urdf")
+            repair.write(used)
+        settings = {"file": str(used), **known}
+        try:
+            notes = proposal_of(FromFile.Settings.model_validate(settings)).notes
+        except KarolosError as error:
+            yield {"kind": "wrong", **asdict(Finding(str(path), " ".join(str(error).splitlines())))}
+            return
+        for note in notes:
+            doubted = note.startswith("doubted: ")
+            yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
+        for case, problem in results(cases(candidate("robots", "urdf", **settings), alone=True)) if promises else ():
+            yield {
+                "kind": "promise",
+                "what": case.text,
+                "promise": str(case),
+                "kept": problem is None,
+                "problem": problem,
+            }
+        yield {"kind": "picture", "picture": picture("urdf", None, (960, 720), **settings)}

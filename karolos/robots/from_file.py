@@ -1,0 +1,141 @@
+"""An arm from somebody's file, without a package: `robot: {name: urdf, file: arm.urdf, gripper: robotiq_2f85}`."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from contextlib import suppress
+from dataclasses import asdict, replace
+from functools import lru_cache
+from pathlib import Path
+
+from pydantic import Field as Setting
+from pydantic import TypeAdapter, ValidationError
+
+from ..errors import MachineError, PluginError
+from ..files import fingerprint, write_whole, writing
+from ..registry import load
+from ..simulation.geometry import Box, Vector
+from ..system import user_cache
+from .arm import Arm
+from .model import ArmModel
+from .proposal import Known, Proposal, propose
+from .repair import MJCF, Repair
+from .settings import ArmSettings
+
+_PROPOSAL = TypeAdapter(Proposal)
+
+
+class FromFile(Arm):
+    """An arm from a URDF. What the file does not say is assumed; `karolos robot check FILE` tells it.
+
+    The file and its meshes are a part of the experiment, by their content. A gripper takes the place of the file's own
+    hand. What is assumed is computed once, and kept in the user's cache folder. The tool of an arm with slow joints
+    moves by what they allow, whatever `tool_step` is larger.
+    """
+
+    class Settings(ArmSettings):
+        """The settings of every arm, and those that take the place of an assumption."""
+
+        file: str = Setting(
+            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder"
+        )
+        mass: float | None = Setting(
+            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
+        )
+        tool: str | None = Setting(None, description="the link of the tool frame, z forwards; null: by usual names")
+        flange: str | None = Setting(
+            None, description="the link that carries a gripper, z away from the arm; null: found"
+        )
+        flange_yaw: float | None = Setting(
+            None, ge=-7, le=7, description="turn of a gripper about the flange's z, rad; null: its fingers close across"
+        )
+        home: tuple[float, ...] | None = Setting(
+            None, description="joint positions with the tool pointing down, rad; null: by inverse kinematics"
+        )
+        workspace: tuple[Vector, Vector] | None = Setting(
+            None,
+            description="lower and upper corner of what the tool reaches pointing down, m; null: as far as it does",
+        )
+        payload: float | None = Setting(None, gt=0, description="what the flange carries, gripper included, kg")
+
+    settings: Settings
+
+    @classmethod
+    def bare_model(cls, settings: ArmSettings) -> ArmModel:
+        assert isinstance(settings, cls.Settings)
+        return proposal_of(settings).model
+
+
+def proposal_of(settings: FromFile.Settings) -> Proposal:
+    """The arm that a file is taken for, from the user's cache folder if it was computed before. Raises as `propose`."""
+    known = Known(
+        tool=settings.tool,
+        flange=settings.flange,
+        flange_yaw=settings.flange_yaw,
+        home=settings.home,
+        workspace=settings.workspace and Box(*settings.workspace),
+        payload=settings.payload,
+    )
+    path = Path(settings.file)
+    content = fingerprint(path)
+    if content is None:
+        hint = "name a URDF or an MJCF file; in a spec relative to it, in an override to the current folder"
+        raise PluginError("there is no such file", where=str(path), hint=hint)
+    plain = path.suffix.lower() not in MJCF and settings.mass is None
+    mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""
+    parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or (str(path.parent), settings.mass)]
+    key = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
+    found = _cached(path, key, settings.gripper, known, settings.mass)
+    return replace(found, model=replace(found.model, urdf=path)) if plain else found
+
+
+@lru_cache(maxsize=64)
+def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float | None) -> Proposal:
+    """`propose`, from the user's cache folder if these contents were proposed for before."""
+    place = None
+    with suppress(RuntimeError, OSError, ValidationError):  # without a home, or of a damaged file: computed again
+        place = user_cache() / "karolos" / "robots" / f"{key}.json"
+        found = _PROPOSAL.validate_json(place.read_bytes())
+        if (path.suffix.lower() not in MJCF and mass is None) or found.model.urdf.is_file():
+            return found
+    used, notes = _as_urdf(path, mass, place)
+    found = propose(used, gripper, known)
+    found = replace(found, notes=(*notes, *found.notes))
+    if place is not None:
+        with suppress(OSError, MachineError):  # a folder that cannot be written
+            place.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(place, _PROPOSAL.dump_json(found).decode(), durable=False)
+    return found
+
+
+def _as_urdf(path: Path, mass: float | None, beside: Path | None) -> tuple[Path, list[str]]:
+    """The file, or a URDF that is made of it in the cache folder, and notes on what is made."""
+    if path.suffix.lower() not in MJCF and mass is None:
+        return path, []
+    if beside is None:
+        raise MachineError("there is no folder for caches", where=str(path), hint="set XDG_CACHE_HOME")
+    repair, made = Repair(path, mass, limits=False), beside.with_suffix(".urdf")
+    for one in repair.findings:
+        if not one.change:
+            raise PluginError(one.what, where=one.where, hint="`karolos robot check` shows everything at once")
+    with writing(made):
+        made.parent.mkdir(parents=True, exist_ok=True)
+    repair.write(made)
+    return made, [f"repaired: {one.what}: {one.change}" for one in repair.findings]
+
+
+@lru_cache(maxsize=1)
+def _source() -> list[str | None]:
+    """What proposals depend on besides the file."""
+    here = Path(__file__).parent
+    files = (
+        "repair.py",
+        "../simulation/fixtures.py",
+        "proposal.py",
+        "poses.py",
+        "loads.py",
+        "mounting.py",
+        "../simulation/urdf.py",
+    )
+    return [fingerprint(here / name, follow=False) for name in files]

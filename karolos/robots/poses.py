@@ -1,0 +1,358 @@
+"""Home pose and workspace of an arm, by kinematics and the shapes of its links. No engine is asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import product
+from math import atan2, cos, pi, sin
+from typing import NamedTuple
+
+import numpy as np
+
+from ..core import Array
+from ..core.seeding import SeedTree
+from ..simulation.geometry import Box, Orientations, Vector
+from ..simulation.kinematics import Chain, Pose, downward
+from ..simulation.urdf import Joint, about
+from .arm import POSTURE_GAIN
+from .model import ArmModel
+
+STARTS = 6
+"""Random joint positions from which inverse kinematics looks for a home pose, for each yaw of the tool."""
+TILTS = tuple((cos(way), sin(way)) for way in (0.0, pi / 3, 2 * pi / 3, pi, 4 * pi / 3, 5 * pi / 3))
+"""Directions in which the tool is tilted to see where it can be."""
+LIMIT_DISTANCE = 0.1
+"""Distance in rad from the limits of the joints that home and workspace keep."""
+HOME_SPEED = 0.8
+"""Fraction of the joints' speeds that a full action may take at home."""
+SMALLEST_WORKSPACE = 0.04
+"""Least edge of a workspace in m."""
+ENOUGH, MORE, LITTLE = 0.85, 1.1, 0.3
+"""Rooms: at which the search ends, by how much a later one must be better, and below which it goes to the sides."""
+CONFIGURATIONS, DIFFERENT = 3, 0.5
+"""How many different poses with the same tool are compared, and by how much a joint of them differs in rad."""
+HOME_HEIGHT, HOME_SHARE = 0.2, 0.3
+"""Height in m of the tool at home above the floor, as of the built-in arms; of a small arm a share of its length."""
+HEIGHTS = (1.0, 0.75, 0.5, 1.25)
+"""Heights at which homes are looked for, as shares of that."""
+REACH = (0.2, 0.25, 0.2)
+"""Largest size in m of a workspace from home ahead, across and upwards, as of the built-in arms."""
+REACH_SHARE = (0.2, 0.3, 0.25)
+"""The same as shares of the arm's length."""
+CLEARANCE, ROOM = 0.01, 0.06
+"""Least height in m of the links above the floor, and of those before the last three, which would lie on objects."""
+CONTROL_STEPS, PERIOD = 45, 1 / 24
+"""Control steps in which the tool comes from home to any place of the workspace, and their seconds."""
+ARRIVED = 3e-3
+"""m: so near has the tool come then."""
+APART = 0.005
+"""Least distance in m of links that may collide."""
+
+
+class Place(NamedTuple):
+    """A home pose and what can be done around it."""
+
+    room: float
+    """How much of the largest workspace there is: 1 is all; less if the tool is slow, or if home is so near a face that
+    four steps lead out of it."""
+    home: tuple[float, ...]
+    """Joint positions in rad."""
+    tool: Vector
+    """Position of the tool at home in m."""
+    tool_step: float
+    """The distance in m that the tool can move per control step along every axis."""
+    workspace: Box
+    corners: tuple[tuple[float, ...], ...]
+    """Joint positions (n,) in rad at home and at the corners of the workspace."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """What of an arm's shapes and its hand matters for where it works.
+
+    Attributes:
+        shapes: points (k, 3) that span what each joint moves, in the frame of its link.
+        fingers: the same of the fingers, in the frame of the last link.
+        lowest: height in m of the tool above the floor at which the hand meets it.
+        closing: direction in the tool's frame along which fingers close; None without fingers.
+    """
+
+    shapes: tuple[Array, ...]
+    fingers: Array
+    lowest: float
+    closing: tuple[float, float] | None = None
+
+    @property
+    def yaws(self) -> tuple[float, ...]:
+        """Yaws of a tool that points down. Fingers close across, along the y axis, as those of the built-in arms do."""
+        if self.closing is None:
+            return 0.0, pi / 2, pi, 3 * pi / 2
+        yaw = atan2(-self.closing[0], self.closing[1])
+        return yaw, yaw + pi
+
+
+class Poses:
+    """An arm with its tool.
+
+    Args:
+        joints: from base to wrist.
+        tool: translation in m and rotation (3, 3) of the tool in the frame of the last link.
+        body: its shapes and its hand.
+        usual_step: in m that the tool shall move per control step.
+        floor: its height in m in the frame of the base. All places are above it.
+    """
+
+    def __init__(
+        self, joints: Sequence[Joint], tool: tuple[Array, Array], body: Body, usual_step: float, floor: float = 0.0
+    ) -> None:
+        self.chain, self.body, self.usual_step = Chain(joints, tool, (0.0, 0.0, -floor)), body, usual_step
+        self._joints = [(np.array(one.origin), np.array(one.rotation), one.axis) for one in joints]
+        self.length = sum(float(np.linalg.norm(one.origin)) for one in joints[1:]) + float(np.linalg.norm(tool[0]))
+        """Of the arm from its second joint to the tool, in m."""
+        low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
+        turns = high - low > 2 * pi
+        low, high = np.where(turns, np.maximum(low, -pi), low), np.where(turns, np.minimum(high, pi), high)
+        distance = np.minimum(LIMIT_DISTANCE, (high - low) / 10)
+        self.low, self.high = low + distance, high - distance
+        inside = (low < -(high - low) / 10) & (high > (high - low) / 10)
+        self.rest = np.where(inside, 0.0, (low + high) / 2)
+        """Joint positions that are preferred: 0, or the middle of a range that 0 is not well within."""
+        self.speeds = np.array([joint.velocity for joint in joints])
+
+    def best(self) -> Place | None:
+        """The home pose with the roomiest workspace; None if the tool cannot point down anywhere around the base.
+
+        The search begins in front of the base, at the height and distance of the built-in arms. It goes on at other
+        distances and lower, and then to the sides, until the goals of the tasks have room.
+        """
+        height = min(HOME_HEIGHT, HOME_SHARE * self.length)
+        lifts = [max(share * height, self.body.lowest + 0.03) for share in HEIGHTS]
+        away = dict.fromkeys([min(0.5, 0.55 * self.length), *(self.length * np.array([0.55, 0.45, 0.65, 0.35]))])
+        best: Place | None = None
+        for direction, lift, distance in product((0.0, -pi / 2, pi / 2, pi), lifts, away):
+            if best is not None and best.room > (LITTLE if direction else ENOUGH):
+                break
+            for found in self._at((distance * cos(direction), distance * sin(direction), lift)):
+                if found.room > (MORE * best.room if best else 0.0):
+                    best = found
+        return best
+
+    @property
+    def shoulder(self) -> float:
+        """Height in m of the second joint above the floor."""
+        return float(self.chain.forward(self.rest.tolist()).axes[8])
+
+    def at(self, home: Sequence[float], workspace: Box | None = None) -> Place:
+        """The place of a home pose that somebody knows, and of a workspace if that is known, too."""
+        return self._around(tuple(home), workspace)
+
+    def _at(self, target: Vector) -> Iterator[Place]:
+        """Places whose home has the tool at `target`, pointing down: the best poses that inverse kinematics finds.
+
+        They are far from joint limits, fast in every direction and near the preferred one, with links above the floor.
+        """
+        draws = SeedTree(0).generator()
+        found: list[tuple[float, list[float], float]] = []
+
+        def look(start: Array, yaw: float) -> None:
+            pose = self._solved(start, target, yaw, self.rest, 60)
+            if self._reaches(pose, target):
+                distance = float(np.minimum(pose - self.low, self.high - pose).min())
+                elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
+                bent = float(np.abs(pose - self.rest).sum())
+                fast = 12 * min(self._tool_step(pose), 2 * self.usual_step)
+                found.append((min(distance, 0.5) + fast + 0.5 * elbow - 0.1 * bent, pose.tolist(), yaw))
+
+        for yaw, start in product(self.body.yaws, range(STARTS)):
+            look(self.rest + (1.0 if start % 2 else 0.3) * (draws.uniform(self.low, self.high) - self.rest), yaw)
+        for yaw in self.body.yaws if found else ():  # a redundant arm may be straighter with the tool turned
+            look(np.array(max(found)[1]), yaw)
+        homes: list[Array] = []
+        for _, pose, yaw in sorted(found, reverse=True):
+            if all(np.abs(np.subtract(pose, other))[:-1].max() > DIFFERENT for other in homes):
+                homes.append(self._solved(np.array(pose), target, yaw, self.rest, 500))
+        for home in homes[:CONFIGURATIONS]:
+            yield self._around(tuple(round(float(one), 4) + 0.0 for one in home), None)
+
+    def _around(self, home: tuple[float, ...], workspace: Box | None) -> Place:
+        step, box = min(self._tool_step(np.array(home)), self.usual_step), workspace or self._workspace(home)
+        tool, edges = self.chain.forward(home).tool.position, np.subtract(box.high, box.low)
+        free = min(np.subtract(tool, box.low).min(), np.subtract(box.high, tool).min()) > 4 * step
+        most = np.diff(self._largest(np.array(tool)), axis=0)[0]
+        room = float(np.prod(np.minimum(edges / most, 1.0))) * step / self.usual_step * (1.0 if free else 0.5)
+        corners = [self._walked(home, place)[0] for place in product(*zip(box.low, box.high, strict=True))]
+        poses = (home, *(tuple(pose.tolist()) for pose in corners))
+        return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box, poses)
+
+    def dexterous(self, place: Place) -> Box | None:
+        """A part of the workspace, around home, in which the tool can be turned as an `ArmModel` says by default.
+
+        The first of some sizes in which it can be; None if it is too small.
+        """
+        home, rest = self.chain.forward(place.home).tool, np.array(place.home)
+        around = Orientations(home.orientation, ArmModel.tilt, ArmModel.turn)
+        turns = [
+            around.at(around.tilt * x, around.tilt * y, turn)
+            for (x, y), turn in product(TILTS, (-around.turn, around.turn))
+        ]
+        for share in (0.9, 0.75, 0.6, 0.45, 0.3):
+            low, high = (
+                np.round(home.position + share * np.subtract(end, home.position), 3)
+                for end in (place.workspace.low, place.workspace.high)
+            )
+            corners = product(*zip(low.tolist(), ((low + high) / 2).tolist(), high.tolist(), strict=True))
+            goals = (Pose.at(at, turn) for at, turn in product(corners, turns))
+            if all(self._takes(self._led(rest, goal, rest, 60), goal) for goal in goals):
+                (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+                return Box((a, b, c), (d, e, f))
+        return None
+
+    def _links(self, pose: Sequence[float], shapes: Sequence[Array]) -> list[Array]:
+        """Points (k, 3) of each link, which are given in its own frame, in the base's frame."""
+        place, turn, found = self.chain.base, np.eye(3), []
+        for (origin, rotation, axis), position, points in zip(self._joints, pose, shapes, strict=True):
+            place, turn = place + turn @ origin, turn @ rotation @ about(axis, position)
+            found.append(place + points @ turn.T)
+        return found
+
+    def pairs(self, place: Place, base: Array) -> list[tuple[int, int]]:
+        """Pairs of links that can collide: one of the last three, and one that is not next to it; -1 is the base.
+
+        They are apart at home and at the corners of the workspace: shapes that are fatter than the links touch always.
+
+        Args:
+            place: the home pose and its workspace.
+            base: points (k, 3) that span the base's shapes, in its frame.
+        """
+        *others, hand = self.body.shapes
+        shapes = [*others, np.vstack([hand, self.body.fingers])]
+        poses = [[*self._links(pose, shapes), base + self.chain.base] for pose in place.corners]
+        last = len(self._joints) - 1
+        between = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]
+        return [(a, b) for a, b in between if all(_apart(links[a], links[b]) for links in poses)]
+
+    def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
+        """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
+        return self._led(pose, downward(target, yaw), rest, steps)
+
+    def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
+        """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
+        for _ in range(steps):
+            at = self.chain.forward(pose.tolist())
+            change = np.array(self.chain.step(at, target, (POSTURE_GAIN * (rest - pose)).tolist()))
+            pose = np.clip(pose + np.clip(change, -0.5, 0.5), self.low, self.high)
+            if np.abs(change).max() < 1e-6:
+                break
+        return pose
+
+    def _walked(self, home: Sequence[float], target: Sequence[float]) -> tuple[Array, bool]:
+        """The pose (n,) to which full actions of cartesian control lead the tool from home, and whether it is there.
+
+        A slow arm gets so many more control steps.
+        """
+        pose = rest = np.array(home)
+        start = self.chain.forward(home).tool
+        yaw, most, step = atan2(start.x[1], start.x[0]), self.speeds * PERIOD, self._tool_step(pose)
+        for _ in range(round(CONTROL_STEPS * max(1.0, self.usual_step / max(step, 1e-3)))):
+            at = self.chain.forward(pose.tolist())
+            x, y, z = at.tool.position
+            dx, dy, dz = np.clip(np.subtract(target, (x, y, z)), -self.usual_step, self.usual_step).tolist()
+            wanted = downward((x + dx, y + dy, z + dz), yaw)
+            change = np.array(self.chain.step(at, wanted, (POSTURE_GAIN * (rest - pose)).tolist()))
+            pose = np.clip(pose + change / max(1.0, (np.abs(change) / most).max()), self.low, self.high)
+            if np.abs(change).max() < 1e-4:
+                break
+        end = self.chain.forward(pose.tolist()).tool
+        there = float(np.linalg.norm(np.subtract(end.position, target))) < ARRIVED and end.z[2] < -1 + 1e-4
+        return pose, there and self._clear(pose)
+
+    def _clear(self, pose: Array) -> bool:
+        """Whether all links but the first are above the floor, and those before the last three above objects on it.
+
+        Objects lie beyond half of the way from the base to the tool.
+        """
+        links = self._links(pose.tolist(), self.body.shapes)
+        if min(points[:, 2].min(initial=np.inf) for points in links[1:]) < CLEARANCE:
+            return False
+        x, y, _ = self.chain.forward(pose.tolist()).tool.position
+        inner = np.vstack(links[1:-3])
+        beyond = inner[:, :2] @ (x, y) > (x * x + y * y) / 2
+        return bool((inner[beyond, 2] > ROOM).all())
+
+    def _reaches(self, pose: Array, target: Vector) -> bool:
+        """Whether the tool is at `target` and points down, with all links above the floor."""
+        at = self.chain.forward(pose.tolist())
+        off = float(np.linalg.norm(np.subtract(at.tool.position, target)))
+        return off < 1e-3 and at.tool.z[2] < -1 + 1e-5 and self._clear(pose)
+
+    def _takes(self, pose: Array, target: Pose) -> bool:
+        """Whether the tool has this position and orientation, with all links above the floor."""
+        at = self.chain.forward(pose.tolist())
+        off = (float(np.linalg.norm(np.subtract(*pair))) for pair in zip(at.tool, target, strict=True))
+        return max(off) < 2e-3 and self._clear(pose)
+
+    def _tool_step(self, home: Array) -> float:
+        """The distance in m that the tool can move per control step along every axis from home."""
+        inverse = np.abs(np.linalg.pinv(self.chain.jacobian(self.chain.forward(home.tolist())))[:, :3])
+        return float(np.floor(1000 * HOME_SPEED * PERIOD / (inverse / self.speeds[:, None]).max()) / 1000)
+
+    def _largest(self, start: Array) -> Array:
+        """The faces (2, 3) of the largest workspace around a tool, relative to it."""
+        ahead, across, up = np.minimum(REACH, self.length * np.array(REACH_SHARE))
+        return np.array([[-ahead, -across, min(0.0, self.body.lowest - start[2])], [ahead, across, up]])
+
+    def _workspace(self, home: Sequence[float]) -> Box:
+        """A box around home to which actions bring the tool, down to the floor if the arm gets there below home.
+
+        Its faces grow one after the other as long as actions bring the tool to their corners and the centres of
+        them and their edges.
+        """
+        start = np.array(self.chain.forward(home).tool.position)
+        most = self._largest(start)
+        size = np.zeros((2, 3))
+        for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
+            growing = [*faces]
+            while growing:
+                for side, axis in [*growing]:
+                    larger = size.copy()
+                    larger[side, axis] += fraction * most[side, axis]
+                    reached = abs(larger[side, axis]) <= abs(most[side, axis]) + 1e-9
+                    for sides in product((0.0, 1.0, 0.5), repeat=3):
+                        if reached and sides[axis] == side:
+                            place = start + larger[0] + np.array(sides) * (larger[1] - larger[0])
+                            reached = self._walked(home, place.tolist())[1]
+                    if reached and most[side, axis]:
+                        size = larger
+                    else:
+                        growing.remove((side, axis))
+        # to whole mm inwards, but 1 mm beyond home where a face did not grow
+        low = np.minimum(np.ceil(np.round(1000 * (start + size[0]), 6)), np.floor(1000 * start) - 1) / 1000
+        high = np.maximum(np.floor(np.round(1000 * (start + size[1]), 6)), np.ceil(1000 * start) + 1) / 1000
+        (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+        return Box((a, b, c), (d, e, f))
+
+
+def _rays(count: int) -> Array:
+    """Directions (count, 3), evenly over the sphere (Fibonacci's spiral)."""
+    heights = 1 - (2 * np.arange(count) + 1) / count
+    angles, radii = pi * (3 - 5**0.5) * np.arange(count), np.sqrt(1 - heights**2)
+    return np.column_stack([radii * np.cos(angles), radii * np.sin(angles), heights])
+
+
+RAYS = _rays(100)
+
+
+def spanning(points: Array) -> Array:
+    """The points (k, 3) of these that lie furthest in some directions."""
+    found: Array = points[np.unique((points @ RAYS.T).argmax(0))] if len(points) else points
+    return found
+
+
+def _apart(one: Array, other: Array) -> bool:
+    """Whether a plane separates two sets of points by `APART`, as far as some directions tell; not an empty one."""
+    if not (len(one) and len(other)):
+        return False
+    way = other.mean(0) - one.mean(0)
+    rays = np.vstack([way / max(float(np.linalg.norm(way)), 1e-9), RAYS, -RAYS]).T
+    return bool(((other @ rays).min(0) - (one @ rays).max(0)).max() > APART)

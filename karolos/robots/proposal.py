@@ -1,0 +1,648 @@
+"""The model of an arm, proposed from somebody's URDF: what the file does not say is computed, and noted as assumed."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from itertools import product
+from math import pi
+from pathlib import Path
+from pprint import pformat
+from xml.etree.ElementTree import Element
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+
+from ..core import Array
+from ..errors import PluginError
+from ..files import find_named
+from ..registry import load
+from ..simulation import urdf
+from ..simulation.fixtures import hulls
+from ..simulation.geometry import Box, Vector
+from ..simulation.interface import Fingers, Gripper
+from ..simulation.meshes import MESH_SUFFIXES, triangles
+from ..simulation.urdf import Joint
+from .grippers.parallel import GripperModel
+from .loads import Loads
+from .model import FINGERS, ArmModel, Flange
+from .mounting import mounted
+from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Body, Place, Poses, spanning
+from .settings import ArmSettings
+
+GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
+"""Joints of these names are not of the arm."""
+HAND_NAMES = re.compile(rf"{GRIPPER_NAMES.pattern}|hand|palm|robotiq", re.IGNORECASE)
+"""Links of these names beyond the last joint are of a hand."""
+FLANGE_NAMES = tuple(
+    re.compile(pattern, re.IGNORECASE) for pattern in (r"flange|tool0|attach", r"tool|(^|_)ee(_|$)|end_?eff")
+)
+"""Frames that are taken for the flange, the best first."""
+TOOL_NAMES = tuple(
+    re.compile(pattern, re.IGNORECASE)
+    for pattern in (r"grasp|tcp|tool_?cent|tool_?point", r"tool|(^|_)ee(_|f|$)|end_?eff", r"flange")
+)
+"""Frames that are taken for the tool, the best first."""
+PARALLEL = 0.99
+"""Cosine of the largest angle between two directions that count as the same."""
+DOUBTED_SPEED, DOUBTED_ANGLE, DOUBTED_TRAVEL = 2 * pi, 4 * pi, 2.0
+"""Speed in rad/s, angle in rad, and speed in m/s or way in m of a slide, from which a joint's limit is doubted."""
+SLOW = 0.4
+"""Speed in rad/s below which it is doubted."""
+DOUBTED_MASS, DOUBTED_RADII, DOUBTED_LENGTH = 500.0, (0.001, 1.0), 3.0
+"""Mass of a link in kg, least and largest radius of gyration of a link in m, and length of an arm in m."""
+DOUBTED_DENSITY = 3.0, 200.0
+"""Least and largest mass of an arm by the square of its length, in kg/m2: a VX300s has 4, a UR5 16, a KR210 107."""
+DOUBTED_WEIGHT = 0.7
+"""Fraction of a motor's torque from which holding the arm's own weight is doubted."""
+SHOULDERS = (0.3, 0.6)
+"""Heights of the second joint above a table, by the arm's length: of one that stands, and of one that hangs."""
+PAD_DEPTH = 0.01
+"""Distance in m from the tips of the fingers to the tool centre point."""
+HIDDEN_DEPTH = 0.01
+"""Length in m by which shapes may stick out beyond a tool frame or a flange that is named in the file."""
+FLOOR_CLEARANCE, LOWEST = 0.005, 0.02
+"""Height in m of the tips of a gripper above the floor, at its lowest, and of a tool without a gripper."""
+
+
+@dataclass(frozen=True)
+class Known:
+    """What a person knows better than a URDF and this module."""
+
+    tool: str | None = None
+    """The link of the tool frame, z forwards."""
+    flange: str | None = None
+    """The link on which a gripper is mounted, z away from the arm."""
+    flange_yaw: float | None = None
+    """How far a gripper is turned about the flange's z, in rad."""
+    home: tuple[float, ...] | None = None
+    """Joint positions in rad with the tool pointing down."""
+    workspace: Box | None = None
+    payload: float | None = None
+    """In kg."""
+    tool_speed: float | None = None
+    """In m/s."""
+
+
+NOTHING = Known()
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A model for a URDF, and in words what was assumed."""
+
+    model: ArmModel
+    summary: str
+    notes: tuple[str, ...]
+    """What was assumed, one line each."""
+
+    def code(self) -> dict[str, str]:
+        """What the templates of a starter package say of this robot. Texts from the URDF are Python literals."""
+        model = self.model
+        given = [one for one in fields(model) if one.name != "urdf" and getattr(model, one.name)]
+        lines = "\n".join(f"{one.name}={pformat(getattr(model, one.name), width=100)}," for one in given)
+        edges = np.subtract(model.workspace.high, model.workspace.low)
+        return {
+            "summary": self.summary,
+            "assumed": pformat(self.notes, width=112)[1:-1].replace("\n ", "\n    "),
+            "imports": ", ".join(name for name in ("Box", "Fingers", "Gripper") if f"{name}(" in lines),
+            "model_imports": ", ".join(["ArmModel", *["Flange"] * ("Flange(" in lines)]),
+            "model": textwrap.indent(lines, " " * 8),
+            "threshold": "0.05" if edges.min() > 0.2 else "0.02",
+        }
+
+
+def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> Proposal:
+    """A model of the arm in this URDF.
+
+    Args:
+        path: of the file.
+        gripper: is mounted at the arm's flange, where the file's own hand ends; None: the hand in the file, or none.
+        known: what need not be assumed.
+
+    Raises:
+        PluginError: the file is not a robot that karolos can simulate, or not an arm that can point its tool down. The
+            message names the joint or link.
+        UsageError: the gripper is unknown, or too heavy.
+    """
+    found, locked, still, beyond = _read(path, known, cut=gripper is not None)
+    joints = [joint for joint in found.joints if joint.revolute]
+    base, last = joints[0].parent, joints[-1]
+    hand = _hand(found, [joint for joint in found.joints if not joint.revolute])
+    model = ArmModel(
+        urdf=path,
+        home=(),
+        workspace=known.workspace or Box((0.0,) * 3, (0.0,) * 3),
+        tool_rpy=(0.0,) * 3,
+        gripper=gripper,
+        cut=tuple(beyond),
+        payload=known.payload,
+        tool_speed=known.tool_speed,
+        locked=locked,
+    )
+    places = _flanges(found, last, beyond, hand, known)
+    if gripper is None:
+        position, rotation, tool_note = _tool(found, path, last, hand, known.tool)
+        model = replace(model, tool=_vector(position), tool_rpy=_rpy(rotation), fingers=hand.fingers)
+        tries = [replace(model, flange=places[0][0])]
+        hand_note = hand.note
+    else:
+        tries = [replace(model, flange=flange, tool_rpy=flange.rpy) for flange, _ in places]
+        tool_note, hand_note = places[0][1], f"gripper: {gripper} at the flange"
+        hand_note += f", in place of what {', '.join(beyond)} carry" if beyond else ""
+    site, *others = (_Site(one, hand, found.robot, known) for one in tries)
+    first = site
+    for other in others if site.room < ENOUGH else ():
+        site = other if other.room > MORE * site.room else site
+    place, whole, poses = site.place, site.whole, site.poses
+    if place is None:
+        what = f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found that the tool reaches pointing down"
+        hint = "choose the tool with --tool LINK; the z axis of the base points upwards"
+        raise PluginError(what, where=str(path), hint=hint)
+    low, high, dexterous = place.workspace.low, place.workspace.high, poses.dexterous(place)
+    where = "none found: tasks whose goal is a pose refuse this robot"
+    if dexterous is not None:
+        turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
+        where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
+    filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
+    loads = Loads(whole.description)
+    accelerations = loads.accelerations(place.corners)
+    slower = ", ".join(f"{one:g}" for one in accelerations or ())
+    weights = [
+        f"{joint.name} {share:.0%}"
+        for joint, share in zip(joints, loads.shares(place.corners), strict=True)
+        if share > DOUBTED_WEIGHT
+    ]
+    usual, heavy = poses.usual_step, ", ".join(found.corrected)
+    names = [*(joint.child for joint in joints), base]
+    pairs = tuple((names[a], end) for a, b in site.pairs for end in [names[b], *[FINGERS] * (b == len(joints) - 1)])
+    pairs = tuple(pair for pair in pairs if FINGERS not in pair or whole.fingers is not None)
+    slow = place.tool_step < usual
+    standing = "on the floor z = 0"
+    if site.floor:
+        standing = f"{abs(site.floor):g} m {'below' if site.floor > 0 else 'above'} the table that it works on"
+    merged = ", ".join(name for name, carrier in found.carriers.items() if carrier == base and name != base)
+    notes = {
+        f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, {standing}": True,
+        f"arm: {', '.join(joint.name for joint in joints)}": True,
+        hand_note: True,
+        f"locked: {', '.join(still)} do not move": still,
+        f"inertia of {heavy}: no body can have it; its smaller moments are raised": heavy,
+        **{f"doubted: {doubt}": True for doubt in doubts(found)},
+        f"doubted: gravity takes {', '.join(weights)} of the torque; compare the data sheet": weights,
+        tool_note: True,
+        "flange: the gripper is turned by pi/2, so that its fingers close across": site is not first,
+        f"home: tool at {_metres(place.tool)} m, pointing down; by inverse kinematics, far from joint limits": True,
+        f"workspace: {_metres(low)} to {_metres(high)} m; actions lead the tool through it, pointing down": True,
+        f"dexterous: {where}": True,
+        f"tool_step: {place.tool_step} m per control step instead of {usual}: the joints are slower": slow,
+        f"accelerations: {slower} rad/s2, which the torques can give to all joints at once": slower,
+        f"collision: the convex hulls of {filled}": filled,
+        f"self-collisions: {len(pairs)} pairs of links, which are apart in the whole workspace": True,
+    }
+    up = 0.0, 0.0, site.floor
+    model = replace(
+        site.model,
+        accelerations=accelerations,
+        home=place.home,
+        workspace=place.workspace.moved(up),
+        dexterous=dexterous and dexterous.moved(up),
+        floor=site.floor,
+        tool_step=place.tool_step if slow else None,
+        self_collisions=pairs,
+    )
+    width = whole.fingers and whole.fingers.gripper.width
+    held = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
+    summary = f"{len(joints)} joints, {poses.length:.2f} m long, {held}."
+    return Proposal(model, summary, tuple(note for note, holds in notes.items() if holds))
+
+
+def _read(
+    path: Path, known: Known, *, cut: bool
+) -> tuple[urdf.Description, dict[str, float], list[str], dict[str, tuple[Array, Array]]]:
+    """What is simulated of a file, the joints that are held at a position, all that do not move, and `_hand_joints`.
+
+    Args:
+        path: of the file.
+        known: names that need not be found.
+        cut: whether to leave out the file's own hand.
+    """
+    loose = urdf.load(path, strict=False)
+    for name in (known.tool, known.flange):
+        if name is not None and name not in loose.carriers:
+            raise PluginError(f"there is no link {name!r}", where=str(path), hint=f"links: {', '.join(loose.carriers)}")
+    arm = _arm(loose, path, known.tool)
+    beyond = _hand_joints(path, arm[-1].child)
+    without = tuple(beyond) if cut else ()
+    left = urdf.load(path, strict=False, without=without)
+    slides = tuple(one.name for one in left.joints if not one.revolute and one.parent == arm[-1].child)
+    slides = slides if len(slides) == 2 else ()
+    moving = {joint.name for joint in arm} | {*slides}
+    still = [joint for joint in left.joints if joint.name not in moving]
+    locked = {  # at 0, or at the end of the range that is nearest to 0
+        joint.name: min(max(0.0, joint.lower), joint.upper) if joint.lower < joint.upper else 0.0
+        for joint in still
+        if joint.mimic is None or joint.mimic in moving
+    }
+    found = urdf.load(path, tuple(sorted(locked.items())), slides, without=without)
+    return found, locked, [joint.name for joint in still], beyond
+
+
+class _Site:
+    """Where an arm works with the hand or the gripper that it has.
+
+    Args:
+        model: all but home, workspace and what follows from them.
+        hand: the file's own.
+        robot: what is simulated of the file.
+        known: what need not be looked for.
+    """
+
+    def __init__(self, model: ArmModel, hand: _Hand, robot: Element, known: Known) -> None:
+        self.model, self.whole, self._known = model, mounted(model, None), known
+        description = self.whole.description
+        joints = [joint for joint in description.joints if joint.revolute]
+        turn = urdf.rotation_matrix(*self.whole.tool_rpy)
+        tool = np.array(self.whole.tool), turn
+        pads, lowest, across = hand.tips, LOWEST, hand.across
+        if model.gripper is not None:
+            gripper: GripperModel = load("grippers", model.gripper).model
+            lowest, slides = gripper.least_height, [one for one in description.joints if not one.revolute]
+            across = np.array(slides[0].rotation) @ slides[0].axis if slides else np.zeros(3)
+            pads = np.vstack([np.zeros((0, 3)), *(_points_moved(description.robot, one) for one in slides)])
+        elif len(pads):
+            lowest = FLOOR_CLEARANCE + max(float(((pads - tool[0]) @ turn[:, 2]).max()), 2 * FLOOR_CLEARANCE)
+        x, y, _ = (turn.T @ across).tolist()
+        shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
+        body = Body(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
+        self.base = spanning(points_of(robot, joints[0].parent))
+        usual: float = ArmSettings.model_fields["tool_step"].default
+        self._made = joints, tool, body, usual
+        self.poses, self.floor = Poses(*self._made), 0.0
+
+    @cached_property
+    def place(self) -> Place | None:
+        """Home and workspace above the floor; None where the tool cannot point down.
+
+        An arm that has little room on the floor at its base stands higher or lower than the table that it works on.
+        """
+        home, workspace = self._known.home, self._known.workspace
+        if home is not None:
+            return self.poses.at(home, workspace)
+        found, first = self.poses.best(), self.poses
+        for share in SHOULDERS if found is None or found.room < LITTLE else ():
+            floor = round(first.shoulder - share * first.length, 2)
+            poses = Poses(*self._made, floor)
+            other = poses.best()
+            if other is not None and other.room > (MORE * found.room if found is not None else 0.0):
+                found, self.poses, self.floor = other, poses, floor
+        if found is None or workspace is None:
+            return found
+        return self.poses.at(found.home, workspace.moved((0.0, 0.0, -self.floor)))
+
+    @property
+    def room(self) -> float:
+        """As `Place.room`; 0 without a place."""
+        return self.place.room if self.place is not None else 0.0
+
+    @property
+    def pairs(self) -> list[tuple[int, int]]:
+        """Pairs of links that can collide, see `Poses.pairs`."""
+        return self.poses.pairs(self.place, self.base) if self.place is not None else []
+
+
+def doubts(found: urdf.Description) -> list[str]:
+    """What the numbers of a URDF make one doubt, each in one line: units that are mixed up, and placeholders."""
+    said: dict[str, list[str]] = defaultdict(list)
+    for joint in found.joints:
+        unit, most, fast, meant = "m", DOUBTED_TRAVEL, DOUBTED_TRAVEL, "millimetres"
+        if joint.revolute:
+            unit, most, fast, meant = "rad", DOUBTED_ANGLE, DOUBTED_SPEED, "degrees"
+        if (far := max(-joint.lower, joint.upper)) > most:
+            said[f"to {far:g} {unit}; are these {meant}?"].append(f"joint {joint.name}")
+        if joint.revolute and joint.velocity < SLOW:
+            said[f"at {joint.velocity:g} rad/s only; compare the data sheet"].append(f"joint {joint.name}")
+        if joint.velocity > fast:
+            said[f"at {joint.velocity:g} {unit}/s; compare the data sheet"].append(f"joint {joint.name}")
+    moved = {joint.child for joint in found.joints}
+    for link in found.robot.findall("link"):
+        mass, _, tensor = urdf.inertia_of(link)
+        if (name := link.get("name", "")) not in moved or not mass:
+            continue
+        if mass > DOUBTED_MASS:
+            said[f"{mass:g} kg; are these grams?"].append(f"link {name}")
+        least, _, most = np.linalg.eigvalsh(tensor).tolist()
+        if not DOUBTED_RADII[0] ** 2 <= least / mass <= most / mass <= DOUBTED_RADII[1] ** 2:
+            said[f"moments from {least:.3g} to {most:.3g} kg m2 at {mass:g} kg; compare the CAD"].append(f"link {name}")
+    length = sum(float(np.linalg.norm(joint.origin)) for joint in found.joints if joint.revolute)
+    if length > DOUBTED_LENGTH:
+        said["in other units than metres?"].append(f"a length of {length:.3g} m")
+    mass = sum(urdf.inertia_of(link)[0] for link in found.robot.findall("link") if link.get("name") in moved)
+    least, most = (density * length**2 for density in DOUBTED_DENSITY)
+    if mass and not least <= mass <= most:
+        what = f"from {least:.3g} to {most:.3g} kg is usual for {length:.3g} m; compare the data sheet"
+        said[what].append(f"{mass:.4g} kg in all links that move")
+    return [f"{', '.join(of)}: {what}" for what, of in said.items()]
+
+
+def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str], tuple[str, ...]]:
+    """What the template of a gripper says of this URDF, and what was assumed.
+
+    Args:
+        path: of the file. Its base is mounted on the flange, z away from the arm.
+        tool: the link of the tool centre point; by default it lies before the tips of the fingers.
+
+    Raises:
+        PluginError: the file is not a gripper of two sliding fingers.
+    """
+    loose = urdf.load(path, strict=False)
+    slides = tuple(joint.name for joint in loose.joints if not joint.revolute)
+    if len(slides) != 2 or len(loose.joints) != 2:
+        what = f"{len(loose.joints)} joints that move, {len(slides)} of which slide"
+        hint = "two sliding fingers; make the others fixed, and stand-ins of a linkage sliding, in a copy of the URDF"
+        raise PluginError(what, where=str(path), hint=hint)
+    found = urdf.load(path, slides=slides)
+    hand, base = _hand(found, found.joints), found.joints[0].parent
+    if abs(hand.across[2]) > 0.1:
+        raise PluginError("the fingers slide along z", where=str(path), hint="z of the base points away from the arm")
+    middle, tip = (hand.tips.min(0) + hand.tips.max(0)) / 2, float(hand.tips[:, 2].max())
+    place, what = np.array([*middle[:2], tip - PAD_DEPTH]), f"{PAD_DEPTH:g} m from the tips of the fingers"
+    if tool is not None:
+        if found.carriers.get(tool) != base:
+            raise PluginError(f"no link {tool!r} is fixed to {base}", where=str(path))
+        place, what = found.frames[tool][0], f"the frame {tool}"
+    height = round(max(tip - float(place[2]), 0.0) + FLOOR_CLEARANCE, 4)
+    notes = (
+        f"base: {base} is mounted on the flange, its z axis away from the arm",
+        hand.note,
+        f"tool: {what}, {_metres(place)} m in {base}",
+        f"least height: {height:g} m of the tool above the floor; there the tips are {FLOOR_CLEARANCE:g} m above it",
+    )
+    fingers = textwrap.indent(pformat(hand.fingers, width=100), " " * 16).lstrip()
+    return {"tool": repr(_vector(place)), "fingers": fingers, "height": repr(height)}, notes
+
+
+def _metres(place: Sequence[float] | Array) -> str:
+    return " ".join(f"{round(float(value), 3) + 0.0:.3f}" for value in place)
+
+
+def _rpy(rotation: Array) -> Vector:
+    return _vector(urdf.roll_pitch_yaw(rotation))
+
+
+def _vector(values: Sequence[float] | Array) -> Vector:
+    x, y, z = (round(float(value), 6) + 0.0 for value in values)
+    return x, y, z
+
+
+def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
+    """The turning joints from the base to the wrist: above the tool, or of the longest chain."""
+    joints, above = {joint.name: joint for joint in found.joints}, {joint.child: joint for joint in found.joints}
+    leaders = {joint.mimic for joint in found.joints}
+
+    def chain(link: str) -> tuple[str, ...]:
+        names: list[str] = []
+        while link in above:
+            joint, link = above[link], above[link].parent
+            finger = joint.mimic is not None or joint.name in leaders or GRIPPER_NAMES.search(joint.name)
+            if finger and (tool is None or not names):
+                names = []
+            elif joint.revolute:
+                names.insert(0, joint.name)
+        return tuple(names)
+
+    if tool is not None:
+        arm = chain(found.carriers[tool])
+    else:
+        chains = {chain(link) for link in found.carriers.values()}
+        longest = sorted(one for one in chains if len(one) == max(map(len, chains)))
+        arm = tuple(one for one, *others in zip(*longest, strict=True) if all(one == other for other in others))
+        if len(longest) > 1 and len(longest[0]) - len(arm) > 2:  # shorter branches are fingers
+            first = [joints[one[len(arm)]] for one in longest]
+            raise PluginError(
+                f"two arms begin here, with joints {', '.join(joint.name for joint in first)}",
+                where=f"{path}: link {first[0].parent}",
+                hint="choose one with --tool LINK, a link at its end",
+            )
+    for name in arm:
+        if joints[name].mimic is not None:
+            what = f"it mimics {joints[name].mimic}; karolos drives every joint of an arm by itself"
+            raise PluginError(what, where=f"{path}: joint {name}")
+    if len(arm) < 5:
+        raise PluginError(
+            f"an arm of {len(arm)} turning joints ({', '.join(arm) or 'none'})",
+            where=str(path),
+            hint="with five or more it can point its tool down at any place; --tool LINK chooses its end",
+        )
+    return [joints[name] for name in arm]
+
+
+def _hand_joints(path: Path, link: str) -> dict[str, tuple[Array, Array]]:
+    """The joints that carry a hand on an arm's last link: moving ones, or of such names; with their frames in it.
+
+    The rotation (3, 3) of a joint that moves is 0: it does not say where the hand points.
+    """
+    below, found = urdf.read(path).findall("joint"), dict[str, tuple[Array, Array]]()
+    reached = [(link, np.zeros(3), np.eye(3))]
+    for name, place, turn in reached:  # which grows
+        for joint in below:
+            if urdf.link_of(joint, "parent") != name:
+                continue
+            offset, rotation = urdf.origin_of(joint)
+            child, there = urdf.link_of(joint, "child"), place + turn @ offset
+            moves = joint.get("type") != "fixed"
+            if moves or HAND_NAMES.search(child):
+                found[joint.get("name", "")] = there, np.zeros((3, 3)) if moves else turn @ rotation
+            else:
+                reached.append((child, there, turn @ rotation))
+    return found
+
+
+def _flanges(
+    found: urdf.Description, last: Joint, beyond: dict[str, tuple[Array, Array]], hand: _Hand, known: Known
+) -> list[tuple[Flange, str]]:
+    """Where a gripper can be mounted, and notes: as it comes, and turned by pi/2 unless somebody knows how.
+
+    It is at the frame that the user named, or one of a usual name, or where the file's own hand begins, or at the end
+    of the last link along its joint's axis. Where shapes stick out there, it is at their end.
+    """
+    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
+    usual = dict.fromkeys(one for like in FLANGE_NAMES for one in frames if like.search(one) and one != last.child)
+    usual = {one: None for one in usual if not HAND_NAMES.search(one)}
+    name = known.flange or next(iter(usual), None)
+    if name is not None and name not in frames:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
+    axis, (place, turn) = np.array(last.axis), frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    shapes, what = points_of(found.robot, last.child), f"the frame {name}"
+    before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
+    ends = (shapes.min(0, initial=0.0) + shapes.max(0, initial=0.0)) / 2
+    parallel = [frame[:, 2] for _, frame in beyond.values() if abs(frame[:, 2] @ axis) > PARALLEL]
+    hints = (*parallel, *(origin for origin, _ in beyond.values()), place, before, ends)
+    approach = _approach(turn if name is not None else None, axis, hints, sure=known.flange is not None)
+    if name is None and beyond:
+        nearest = min((origin for origin, _ in beyond.values()), key=lambda one: float(one @ approach))
+        place = nearest if len(beyond) == 1 else approach * float(nearest @ approach)
+        what = f"where {', '.join(beyond)} carry the file's own hand"
+    end = float((shapes @ approach).max(initial=0.0))
+    if known.flange is None and (end > float(place @ approach) + HIDDEN_DEPTH or (name is None and not beyond)):
+        place, what = place + (end - float(place @ approach)) * approach, "the end of its shapes"
+    frame, where = _frame(turn, approach, hand.across), _vector(place)
+    note = f"flange: {what}, {_metres(place)} m in {last.child}, away from the arm along {_metres(approach)}"
+    yaws = (0.0, pi / 2) if known.flange_yaw is None else (known.flange_yaw,)
+    made = (_rpy(frame @ urdf.about((0.0, 0.0, 1.0), yaw)) for yaw in yaws)
+    return [(Flange(last.child, where, rpy), note) for rpy in made]
+
+
+def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: bool) -> Array:
+    """The direction (3,) in which a tool sticks out of the last link.
+
+    Args:
+        turn: rotation (3, 3) of a frame that is named; None: no frame is.
+        axis: of the last joint. The tool sticks out along it, unless the frame is sure.
+        hints: points and directions (3,) of what lies ahead, the best first.
+        sure: whether a person named the frame.
+    """
+    if turn is not None and (sure or abs(turn[:, 2] @ axis) >= PARALLEL):
+        found: Array = turn[:, 2]
+        return found
+    along = [depth for hint in hints if abs(depth := float(hint @ axis)) > 0.005]
+    return -axis if along and along[0] < 0 else axis
+
+
+def _frame(turn: Array, approach: Array, across: Array) -> Array:
+    """A rotation (3, 3) with z along the approach, and y along that of the fingers, or x like another rotation's."""
+    x = min(turn.T, key=lambda column: abs(float(column @ approach)))
+    x = np.cross(across, approach) if across.any() else x - (x @ approach) * approach
+    x = x / np.linalg.norm(x)
+    return np.column_stack([x, np.cross(approach, x), approach])
+
+
+@dataclass(frozen=True)
+class _Hand:
+    """The gripper on the last link. Points and directions are in the frame of that link."""
+
+    note: str
+    fingers: Fingers | None = None
+    tips: Array = field(default_factory=lambda: np.zeros((0, 3)))
+    """Points (n, 3) of the fingers."""
+    across: Array = field(default_factory=lambda: np.zeros(3))
+    """Direction in which the first finger slides."""
+
+
+def _hand(found: urdf.Description, pair: Sequence[Joint]) -> _Hand:
+    """The gripper of two sliding fingers, if there is a pair of them."""
+    if not pair:
+        return _Hand("gripper: no pair of sliding fingers, so that tasks which grasp do not work")
+    names = ", ".join(joint.name for joint in pair)
+    across, other = (np.array(joint.rotation) @ joint.axis for joint in pair)
+    if across @ other > -PARALLEL:
+        raise PluginError(
+            "the fingers do not slide in opposite directions",
+            where=f"joints {names}",
+            hint="make them fixed in a copy of the URDF to use the robot without its gripper",
+        )
+    pads = [_points_moved(found.robot, one) for one in pair]
+    pads = [pad if len(pad) else np.array([joint.origin]) for pad, joint in zip(pads, pair, strict=True)]
+    travel, force, speed = (min(getattr(one, limit) for one in pair) for limit in ("upper", "effort", "velocity"))
+    closes = bool((pads[0].min(0) + pads[0].max(0) - pads[1].min(0) - pads[1].max(0)) @ across < 0)
+    inwards = -across if closes else across
+    gap = float((pads[0] @ inwards).min() - (pads[1] @ inwards).max()) - closes * 2 * travel
+    width = round(2 * travel + (gap if gap > 0.005 else 0.0), 4)
+    note = (
+        f"gripper: {names}, {'closing' if closes else 'opening'} from 0 to {travel:g} m, "
+        f"{width:g} m wide when open; {force:g} N and {speed:g} m/s are the limits in the URDF; "
+        "pad friction 1 as of rubber"
+    )
+    gripper = Gripper(width=width, force=force, speed=speed, pad_friction=1.0)
+    links = pair[0].child, pair[1].child
+    fingers = Fingers((pair[0].name, pair[1].name), links, travel, closes, gripper)
+    return _Hand(note, fingers, np.vstack(pads), across)
+
+
+def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
+    """Position and rotation of the tool in the frame of the last link, z along the direction of approach, and a note.
+
+    It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
+    fingers, or the end of the last link along its joint's axis.
+    """
+    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
+    usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
+    name = named or next(iter(usual), None)
+    if name is not None and name not in frames:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
+    place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
+    before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
+    middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))
+    approach = _approach(
+        turn if name is not None else None, axis, (middle, place, before, ends), sure=named is not None
+    )
+    what = f"the frame {name}"
+    if abs(approach @ hand.across) > 0.1:
+        raise PluginError(
+            "the fingers slide along the direction of approach",
+            where=f"{path}: link {last.child}",
+            hint="name the tool frame, whose z axis is this direction, with --tool LINK",
+        )
+    depths = tips @ approach
+    if len(tips) and named is None and not (name and depths.min() < place @ approach < depths.max()):
+        what, middle = f"{PAD_DEPTH:g} m from the tips of the fingers", (tips.min(0) + tips.max(0)) / 2
+        place = middle + (depths.max() - PAD_DEPTH - middle @ approach) * approach
+    elif not len(tips) and named is None:
+        end, depth = max(0.0, float((shapes @ approach).max(initial=0.0))), float(place @ approach)
+        if name is None or end > depth + HIDDEN_DEPTH:
+            place, what = place + (end - depth) * approach, "the end of its shapes"
+    note = f"tool: {what}, {_metres(place)} m in {last.child}; it approaches along {_metres(approach)}"
+    if others := [one for one in usual if named is None and what != f"the frame {one}"]:
+        note += f"; not {', '.join(others)}, which --tool LINK chooses"
+    return place, _frame(turn, approach, hand.across), note
+
+
+def points_of(robot: Element, link: str) -> Array:
+    """Points (n, 3) that span the collision shapes of a link, or its visual ones, in its frame in m."""
+    element = next(one for one in robot.findall("link") if one.get("name") == link)
+    found = [np.zeros((0, 3))]
+    for shape in element.findall("collision") or element.findall("visual"):
+        translation, rotation = urdf.origin_of(shape)
+        found += [_corners(one) @ rotation.T + translation for one in shape.findall("geometry/*")]
+    return np.vstack(found)
+
+
+def _points_moved(robot: Element, joint: Joint) -> Array:
+    """The same of the link that a joint at 0 carries, in the frame of the link before."""
+    moved: Array = points_of(robot, joint.child) @ np.transpose(joint.rotation) + joint.origin
+    return moved
+
+
+def _corners(shape: Element) -> Array:
+    """Points (n, 3) of a shape in its own frame."""
+    size = {key: [float(one) for one in value.split()] for key, value in shape.attrib.items() if key != "filename"}
+    if shape.tag == "mesh":
+        scale = np.array(size.get("scale", [1.0, 1.0, 1.0]))
+        return scale * triangles(Path(shape.get("filename", ""))).reshape(-1, 3)
+    if shape.tag == "box":
+        half = np.array(size["size"]) / 2
+    else:
+        radius, length = size["radius"][0], size.get("length", [0.0])[0]
+        half = np.array([radius, radius, length / 2 if shape.tag == "cylinder" else length / 2 + radius])
+    corners: Array = half * np.array(list(product((-1, 1), repeat=3)))
+    return corners
+
+
+def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
+    """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
+    text, files, robot = urdf.text_of(path), dict[str, Path](), urdf.read(path)
+    for shape in [one for link in robot.iter("link") for one in link.findall("visual")]:
+        if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in shape.iter("mesh")):
+            shape.clear()  # such a link is drawn as it collides
+    for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in robot.iter("mesh")})):
+        mesh = find_named(name, path.parent)
+        if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:
+            new = next((to for to, file in files.items() if file == mesh), f"meshes/{number}_{mesh.name}")
+            files[new] = mesh
+            text = quoteattr(new).join(re.split(rf"""(["']){re.escape(escape(name))}\1""", text)[::2])
+    return text, files

@@ -1,0 +1,232 @@
+"""Everything that keeps a URDF from being an arm, at once, and what arithmetic makes of it in a copy."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+
+from ..core import Array
+from ..errors import PluginError
+from ..files import find_named, write_whole
+from ..simulation import urdf
+from ..simulation.fixtures import arm
+from ..simulation.meshes import MESH_SUFFIXES, Solid, check_size, hull, triangles
+from .proposal import points_of
+
+DENSITY = 1500.0
+"""kg/m3 of the convex hulls of links whose mass nobody says; a UR5's are as dense."""
+HELD = 3.0
+"""Largest torque of a motor whose torque nobody says, by that which holds the stretched arm."""
+USUAL_SPEED, USUAL_SLIDE, USUAL_FORCE = 2.0, 0.1, 20.0
+"""Speed in rad/s and m/s of a joint whose speed nobody says, and force in N of a slide."""
+GRAVITY = 9.81
+PAYLOAD, PAYLOAD_ARM = 2.0, 0.2
+"""kg that such an arm carries, and how far from its last joint in m."""
+MJCF = (".xml", ".mjcf")
+_PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
+_DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something that keeps a file from being an arm."""
+
+    where: str
+    """File, line and element."""
+    what: str
+    change: str = ""
+    """What the repaired copy has instead; empty where nobody can know."""
+
+
+class Repair:
+    """A file that is read as far as possible.
+
+    Attributes:
+        findings: what is wrong with it, in the order of the steps of the repair.
+        robot: the repaired copy; None where the file is no URDF at all. Its meshes have absolute names.
+
+    Args:
+        path: of the URDF, or of an MJCF file, of which a URDF is made.
+        mass: of the whole arm in kg, as the data sheet says; None: unknown.
+        limits: whether to repair the limits of the joints, too.
+    """
+
+    def __init__(self, path: Path, mass: float | None = None, *, limits: bool = True) -> None:
+        self.path, self.findings = path, list[Finding]()
+        self.robot: Element | None = None
+        try:
+            if path.suffix.lower() in MJCF:
+                text = ElementTree.tostring(arm(path.absolute(), USUAL_SPEED), "unicode")
+                change = f"{USUAL_SPEED:g} rad/s; write the data sheet's into a URDF"
+                self.findings.append(Finding(str(path), "MJCF has no speeds of joints", change))
+            else:
+                text = self._declared(urdf.text_of(path))
+            urdf.load(path, strict=False, text=text)  # raises for what is no URDF, at its line
+            self.robot, self._lines = urdf.parse(path, text)
+            self._repair(self.robot, mass, limits=limits)
+        except PluginError as error:
+            self.findings.append(Finding(error.where or str(path), error.what))
+
+    def write(self, path: Path) -> None:
+        """Write the repaired copy; meshes are named from its folder. Raises PluginError, MachineError."""
+        if self.robot is None:
+            raise PluginError("it is no URDF, which cannot be repaired", where=str(self.path))
+        for mesh in self.robot.iter("mesh"):
+            mesh.set("filename", os.path.relpath(mesh.get("filename", ""), path.absolute().parent).replace(os.sep, "/"))
+        write_whole(path, self._text() + "\n")
+
+    def _text(self) -> str:
+        assert self.robot is not None
+        ElementTree.indent(self.robot)
+        return ElementTree.tostring(self.robot, "unicode")
+
+    def _found(self, element: Element, what: str, change: str = "") -> None:
+        place = f"{self.path}:{self._lines.get(element, 0)}: {element.tag} {element.get('name')}"
+        self.findings.append(Finding(place, what, change))
+
+    def _declared(self, text: str) -> str:
+        """The text with all prefixes declared."""
+        used = {one for pair in _PREFIX.findall(re.sub(r"<!--.*?-->", "", text, flags=re.DOTALL)) for one in pair}
+        missing = sorted(used - {*_DECLARED.findall(text), "xmlns", "xml", ""})
+        if missing:
+            what = f"the prefix {', '.join(missing)} is not declared"
+            self.findings.append(Finding(str(self.path), what, "what has it is left out"))
+        names = "".join(f' xmlns:{one}="undeclared"' for one in missing)
+        return re.sub(r"<robot\b", f"<robot{names}", text, count=1)
+
+    def _repair(self, robot: Element, mass: float | None, *, limits: bool) -> None:
+        for parent in [*robot.iter()]:
+            for key in [key for key in parent.attrib if "}" in key]:
+                del parent.attrib[key]
+            for part in [part for part in parent if "}" in part.tag]:
+                parent.remove(part)
+        for link in robot.findall("link"):
+            self._find_meshes(link)
+        loose = urdf.load(self.path, strict=False, text=self._text())
+        self._weigh(robot, loose, mass)
+        elements = {one.get("name"): one for one in robot.findall("joint")}
+        for joint in loose.joints if limits else ():
+            self._limit(elements[joint.name], joint, loose)
+
+    def _find_meshes(self, link: Element) -> None:
+        """Give the meshes of a link absolute names, and leave out those that are missing or cannot be read."""
+        for shape in [*link.findall("visual"), *link.findall("collision")]:
+            for mesh in shape.iter("mesh"):
+                name, kind = mesh.get("filename", ""), shape.tag
+                found, change = find_named(name, self.path.parent), ""
+                if found is None and (found := self._nearby(name)) is not None:
+                    change = f"{found}, which has its name"
+                    self._found(link, f"there is no mesh {urdf.short(name)}", change)
+                problem = "" if found is not None else f"there is no mesh {urdf.short(name)}"
+                if found is not None:
+                    mesh.set("filename", str(found))
+                    problem = self._unreadable(found, mesh)
+                if problem:
+                    self._found(link, problem, "" if kind == "collision" else "it is not drawn")
+                    link.remove(shape)
+
+    def _unreadable(self, path: Path, mesh: Element) -> str:
+        """Why a mesh cannot be used; empty if it can. One in millimetres is scaled."""
+        if path.suffix.lower() not in MESH_SUFFIXES:
+            return f"cannot read the mesh {path.name}: meshes end in {', '.join(MESH_SUFFIXES)}"
+        try:
+            triangles(path)
+            check_size(path, [float(one) for one in mesh.get("scale", "1 1 1").split()])
+        except PluginError as error:
+            return str(error)
+        return ""
+
+    def _nearby(self, name: str) -> Path | None:
+        """The only file of this name in the folders around the URDF; None if there is none, or several."""
+        base, around = name.replace("\\", "/").rpartition("/")[2], self.path.absolute().parent
+        for folder in (around, around.parent, around.parent.parent):
+            found = sorted(one for one in folder.rglob(base) if one.is_file()) if base else []
+            if len(found) == 1:
+                return found[0].resolve()
+        return None
+
+    def _weigh(self, robot: Element, loose: urdf.Description, mass: float | None) -> None:
+        """Give links that move the masses and inertias that they lack, and the arm its whole mass."""
+        links = {one.get("name", ""): one for one in robot.findall("link")}
+        carried = {joint.child for joint in loose.joints}
+        known = {one.get("name", ""): urdf.inertia_of(one) for one in loose.robot.findall("link")}
+        solids = {name: hull(points_of(loose.robot, name)) for name in known}
+        without = [name for name in carried if known[name][0] < urdf.LEAST_SIZE]
+        there = sum(weight for weight, _, _ in known.values())
+        volume, density = sum(solids[name].volume for name in without), DENSITY
+        if without and mass is not None:
+            if not there:  # not even the base's
+                volume += sum(solids[name].volume for name in known if name not in carried)
+            density = max(mass - there, 0.1 * mass) / volume
+        for name in without:
+            weight = density * solids[name].volume
+            change = f"{weight:.3g} kg: its convex hull of {density:.0f} kg/m3"
+            self._found(links[name], "it moves and has no mass", change)
+            _set_inertia(links[name], weight, solids[name])
+        for name in sorted(carried - {*without}):
+            weight, _, tensor = known[name]
+            if np.linalg.eigvalsh(tensor)[0] < urdf.LEAST_INERTIA:
+                self._found(links[name], "its inertia is not positive definite", "that of its convex hull")
+                _set_inertia(links[name], weight, solids[name])
+        if mass is not None and there and not without and abs(there / mass - 1) > 0.01:
+            what = f"its links weigh {there:.4g} kg together, the data sheet says {mass:g}"
+            self.findings.append(
+                Finding(str(self.path), what, f"masses and inertias are multiplied by {mass / there:.3g}")
+            )
+            for one in [*robot.iter("mass"), *robot.iter("inertia")]:
+                one.attrib.update({key: repr(float(value) * mass / there) for key, value in one.attrib.items()})
+
+    def _limit(self, element: Element, joint: urdf.Joint, loose: urdf.Description) -> None:
+        """Give a joint the limits that it lacks."""
+        limit = element.find("limit")
+        if limit is None:
+            limit = SubElement(element, "limit")
+        lacking = dict[str, tuple[str, float]]()
+        if joint.effort <= 0:
+            held = self._held(joint, loose) if joint.revolute else USUAL_FORCE / HELD
+            how = f"{HELD:g} times what holds the stretched arm" if joint.revolute else "assumed"
+            lacking["effort"] = how, HELD * held
+        if joint.velocity <= 0:
+            lacking["velocity"] = "assumed; write the data sheet's", USUAL_SPEED if joint.revolute else USUAL_SLIDE
+        if not joint.lower < joint.upper and element.get("type") != "continuous":
+            lacking |= {"lower": ("assumed", -pi), "upper": ("assumed", pi)} if joint.revolute else {}
+        for key, (how, value) in lacking.items():
+            self._found(element, f"its {key} is {limit.get(key, 'missing')}", f"{value:.3g}: {how}")
+            limit.set(key, f"{value:.6g}")
+
+    def _held(self, joint: urdf.Joint, loose: urdf.Description) -> float:
+        """The torque in N m that holds what a joint carries, stretched out level with a payload."""
+        assert self.robot is not None
+        masses, total, furthest = (
+            {one.get("name"): urdf.inertia_of(one) for one in self.robot.findall("link")},
+            0.0,
+            0.0,
+        )
+        reached = [(joint.child, 0.0)]
+        for link, away in reached:  # which grows
+            for name in (name for name, carrier in loose.carriers.items() if carrier == link):
+                mass, centre, _ = masses[name]
+                total += mass * (away + float(np.linalg.norm(loose.frames[name][0] + loose.frames[name][1] @ centre)))
+            furthest = max(furthest, away)
+            below = (one for one in loose.joints if one.parent == link)
+            reached += [(one.child, away + float(np.linalg.norm(one.origin))) for one in below]
+        return GRAVITY * (total + PAYLOAD * (furthest + PAYLOAD_ARM))
+
+
+def _set_inertia(link: Element, mass: float, solid: Solid) -> None:
+    """Give a link a mass, and the inertia of this solid."""
+    for old in link.findall("inertial"):
+        link.remove(old)
+    inertial = SubElement(link, "inertial")
+    SubElement(inertial, "origin", xyz=" ".join(f"{one:.6g}" for one in solid.centre), rpy="0 0 0")
+    SubElement(inertial, "mass", value=f"{mass:.6g}")
+    tensor: Array = solid.tensor * mass
+    names = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
+    SubElement(inertial, "inertia", {key: f"{tensor[place]:.6g}" for key, place in names.items()})

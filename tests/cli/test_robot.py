@@ -1,0 +1,76 @@
+"""`karolos robot`: an arm's file is checked, and scored with policies that never saw it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from karolos_cli.robot import app
+from support.commands import call
+from support.fourth_robot import exported_arm
+
+from karolos.plugins import robot_score
+from karolos.records.shipped import shipped_names
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.chdir(tmp_path)
+    return exported_arm(tmp_path).model.urdf
+
+
+def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm: Path, tmp_path: Path) -> None:
+    arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"').replace("/meshes/", "/elsewhere/"))
+    code, out, err = call(
+        app,
+        "check",
+        str(arm),
+        "--repair",
+        "copy.urdf",
+        "--no-promises",
+        "--out",
+        "arm.png",
+        "--gripper",
+        "robotiq_2f85",
+    )
+    assert code == 3, err
+    lines = out.splitlines()
+    assert sum(line.startswith("wrong: ") and "; repaired: " in line for line in lines) == 2
+    assert "assumed: arm: joint1, joint2, joint3, joint4, joint5, joint6" in lines
+    assert (tmp_path / "arm.png").stat().st_size > 1000
+    code, out, err = call(app, "check", "copy.urdf", "--json")
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert {row["kind"] for row in rows} >= {"assumed", "promise"}
+    broken = [row["problem"] for row in rows if row["kind"] == "promise" and not row["kept"]]
+    assert (code, broken) == (0, [])
+
+
+def test_a_score_names_success_and_causes_and_writes_a_page(arm: Path, tmp_path: Path) -> None:
+    code, out, err = call(app, "score", str(arm), "--policies", "ur5_reach", "--episodes", "2", "--json")
+    assert code == 0, err
+    [row] = [json.loads(line) for line in out.splitlines()]
+    assert (row["task"], row["episodes"], row["refused"]) == ("reach", 2, None)
+    assert sum(row["causes"].values()) == 2 - 2 * row["success"]
+    assert set(row["causes"]) <= set(robot_score.CAUSES)
+    folder = tmp_path / "small-score"
+    assert (folder / "ur5_reach.mp4").stat().st_size > 1000
+    assert "assumed of the file" in (folder / "score.html").read_text()
+    assert json.loads((folder / "score.json").read_text())["policies"] == [row]
+
+
+def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm: Path) -> None:
+    text = arm.read_text().replace('"prismatic"', '"revolute"')
+    arm.write_text(text)
+    found = robot_score.score_policy("ur5_pick", ["robot.name=urdf", f"robot.file={arm}"], 1)
+    assert found.success is None
+    assert found.refused is not None
+    assert "this robot has no gripper" in found.refused
+
+
+def test_policies_are_those_of_a_robot_or_one(arm: Path) -> None:
+    assert robot_score.policies_of("iiwa") == [name for name in shipped_names() if name.startswith("iiwa_")]
+    code, _, err = call(app, "score", str(arm), "--policies", "ur6")
+    assert code == 2
+    assert "did you mean 'ur5'" in err

@@ -1,0 +1,150 @@
+"""The robot `urdf`: an arm from somebody's file, with the gripper that a spec names."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.fourth_robot import TOOL, exported_arm
+
+from karolos.errors import PluginError
+from karolos.evaluation.changed_spec import changed_spec
+from karolos.evaluation.policies import signature_of
+from karolos.files import copy_named, fingerprint
+from karolos.records import RunFolder
+from karolos.registry import load
+from karolos.robots import from_file
+from karolos.robots.from_file import FromFile
+from karolos.robots.proposal import propose
+from karolos.simulation import urdf
+from karolos.specification import Spec, load_spec, spec_from_dict
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A URDF with two fingers, and a folder of caches of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    from_file._cached.cache_clear()
+    return exported_arm(tmp_path).model.urdf
+
+
+def spec_in(folder: Path, robot: str) -> Spec:
+    (folder / "reach.yaml").write_text(f"robot: {robot}\ntask: {{name: reach, reward: sparse}}\nagent: sac\n")
+    return load_spec(folder / "reach.yaml")
+
+
+def robot_of(**settings: object) -> FromFile:
+    return FromFile(FromFile.Settings.model_validate(settings))
+
+
+def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm: Path) -> None:
+    robot = robot_of(file=str(arm), gripper="robotiq_2f85")
+    links = {link.get("name") for link in robot.model.description.robot.findall("link")}
+    assert "pad1" not in links
+    assert {"robotiq_2f85/finger1", "robotiq_2f85/finger2"} <= links
+    gripper = load("grippers", "robotiq_2f85").model
+    assert robot.gripper == gripper.fingers.gripper
+    assert robot.workspace.low[2] == gripper.least_height
+    assert abs(robot.configuration.tool.y[0]) < 1e-3, "the fingers close along the world's y axis"
+    own = robot_of(file=str(arm))
+    assert own.model.fingers is not None
+    assert own.model.fingers.links == ("pad1", "pad2")
+    assert abs(own.configuration.tool.y[0]) < 1e-3
+    other = robot_of(file=str(arm), gripper="vacuum")
+    assert other.model.cup is not None
+
+
+def test_a_file_counts_by_its_content_and_stands_relative_to_the_spec(arm: Path) -> None:
+    spec = spec_in(arm.parent, "{name: urdf, file: small.urdf}")
+    assert spec.robot is not None
+    assert spec.robot.settings.model_dump()["file"] == str(arm)
+    own = spec.hash()
+    moved = arm.rename(arm.parent / "other.urdf")
+    assert spec_in(arm.parent, "{name: urdf, file: other.urdf}").hash() == own
+    assert set(spec_in(arm.parent, "{name: urdf, file: other.urdf}").files()) == {"robot.file"}
+    moved.write_text(moved.read_text().replace('velocity="2.5"', 'velocity="2.4"'))
+    assert spec_in(arm.parent, "{name: urdf, file: other.urdf}").hash() != own
+
+
+def test_an_override_names_a_file_in_the_current_folder(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(arm.parent)
+    spec = load_spec("ur5_pick", ["robot.name=urdf", "robot.file=small.urdf"])
+    assert spec.robot is not None
+    assert spec.robot.settings.model_dump()["file"] == str(arm)
+    assert spec.robot.settings.model_dump()["tool_step"] == 0.034, "settings of all arms stay"
+
+
+def test_a_proposal_is_computed_once(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = robot_of(file=str(arm)).model
+    from_file._cached.cache_clear()
+    monkeypatch.setattr(from_file, "propose", None)  # not called
+    assert robot_of(file=str(arm)).model == first
+    moved = arm.rename(arm.parent / "moved.urdf")
+    assert robot_of(file=str(moved)).model.urdf == moved
+
+
+def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match=r"none.urdf: there is no such file; name a URDF"):
+        robot_of(file=str(tmp_path / "none.urdf"))
+
+
+def test_what_a_person_knows_is_not_assumed(arm: Path) -> None:
+    found = robot_of(file=str(arm))
+    middle = [list(found.workspace.low), list(found.workspace.high)]
+    middle[1][2] -= 0.05
+    known = robot_of(
+        file=str(arm), home=found.model.home, workspace=middle, payload=2.0, flange="tool0", flange_yaw=0.5
+    )
+    assert known.model.home == found.model.home
+    assert known.workspace.high[2] == middle[1][2]
+    assert known.model.flange is not None
+    assert known.model.flange.position == (0.0, 0.0, TOOL)
+    with pytest.raises(Exception, match=r"weighs .* more than the payload of 0.1 kg"):
+        robot_of(file=str(arm), gripper="robotiq_2f85", payload=0.1)
+
+
+def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm: Path, tmp_path: Path) -> None:
+    text = arm.read_text().replace("package://small_description/meshes", "../meshes")
+    for path, content in {arm: text, arm.with_name("package.urdf"): arm.read_text()}.items():
+        path.write_text(content)
+        copy = copy_named(path, tmp_path / "copies" / path.stem)
+        assert copy.parent.is_relative_to(tmp_path / "copies" / path.stem)
+        assert fingerprint(copy) == fingerprint(path)
+        assert propose(copy).model.home == propose(path).model.home
+
+
+def test_a_run_reads_its_own_copy_of_the_file(arm: Path, tmp_path: Path) -> None:
+    spec = spec_in(arm.parent, "{name: urdf, file: small.urdf}")
+    own = spec.hash()
+    with RunFolder.create(tmp_path / "runs", "reach", 0) as folder:
+        folder.describe(spec.dump(), experiment=spec.hash(), files=spec.files())
+        arm.write_text("edited")
+        again = spec_from_dict(folder.spec())
+    assert again.hash() == own
+    assert str(folder.path) in str(again.robot)
+
+
+def test_episodes_of_a_slow_arm_are_longer_unless_somebody_says_how_long(arm: Path) -> None:
+    arm.write_text(re.sub('velocity="2.5"', 'velocity="0.5"', arm.read_text()))
+    saved = load_spec("ur5_reach", ["robot.tool_step=0.034"])
+    trained = signature_of(saved)
+    overrides = ["robot.name=urdf", f"robot.file={arm}"]
+    with pytest.warns(UserWarning, match=r"times slower: \d+ control steps instead of 30"):
+        spec = changed_spec(saved, overrides, trained=trained)
+    slow = robot_of(file=str(arm)).model.tool_step
+    assert slow is not None
+    assert signature_of(spec).max_steps == int(np.ceil(30 * 0.034 / slow))
+    assert signature_of(changed_spec(saved, [*overrides, "task.max_steps=7"], trained=trained)).max_steps == 7
+
+
+def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm: Path) -> None:
+    strong = propose(arm).model
+    arm.write_text(arm.read_text().replace('effort="80"', 'effort="14"'))
+    weak = propose(arm).model
+    assert strong.accelerations is None or weak.accelerations is not None
+    assert weak.accelerations is not None
+    assert max(weak.accelerations) <= 2.5 * 24
+    description = urdf.load(arm, slides=("slide1", "slide2"))
+    assert len(weak.accelerations) == len([joint for joint in description.joints if joint.revolute])

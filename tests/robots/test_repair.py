@@ -1,0 +1,83 @@
+"""A URDF with several mistakes: all are found at once, and the copy in which they are repaired is an arm."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from support.fourth_robot import exported_arm
+
+from karolos.robots.proposal import propose
+from karolos.robots.repair import Repair
+from karolos.simulation import urdf
+
+MISTAKES = {
+    'effort="60"': 'effort="0" drake:acceleration="2"',
+    '<mass value="1.2"/>': '<mass value="0"/>',
+    'ixx="0.0008" iyy="0.0008" izz="0.0008"': 'ixx="0" iyy="0" izz="0"',
+    "small_description/meshes": "elsewhere",
+    'effort="20" velocity="2.5"': 'effort="20" velocity="0"',
+}
+
+
+@pytest.fixture
+def arm(tmp_path: Path) -> Path:
+    return exported_arm(tmp_path).model.urdf
+
+
+def broken(path: Path, mistakes: dict[str, str]) -> Path:
+    text = path.read_text()
+    for old, new in mistakes.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    path.write_text(text)
+    return path
+
+
+def mass_of(path: Path) -> float:
+    return sum(urdf.inertia_of(link)[0] for link in urdf.read(path).findall("link"))
+
+
+def test_all_mistakes_are_found_at_once_and_repaired(arm: Path, tmp_path: Path) -> None:
+    repair = Repair(broken(arm, MISTAKES), mass=12.0)
+    found = [f"{finding.where.rpartition(': ')[2]}: {finding.what}" for finding in repair.findings]
+    assert found[1:] == [
+        "link base: there is no mesh 'package://elsewhere/mark.obj'",
+        "link link3: it moves and has no mass",
+        "link link5: its inertia is not positive definite",
+        "joint joint3: its effort is 0",
+        "joint joint4: its velocity is 0",
+        "joint joint5: its velocity is 0",
+        "joint joint6: its velocity is 0",
+    ]
+    assert "the prefix drake is not declared" in found[0]
+    assert all(finding.change for finding in repair.findings)
+    repair.write(copy := tmp_path / "copy.urdf")
+    assert mass_of(copy) == pytest.approx(12.0, rel=0.02)
+    assert not Repair(copy).findings
+    propose(copy)
+
+
+def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm: Path, tmp_path: Path) -> None:
+    assert not Repair(arm).findings
+    repair = Repair(arm, mass=20.0)
+    [finding] = repair.findings
+    assert finding.what.endswith("the data sheet says 20")
+    repair.write(tmp_path / "copy.urdf")
+    assert mass_of(tmp_path / "copy.urdf") == pytest.approx(20.0)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ("</robot>", "", "not an XML file"),
+        ('"0 0 0.32"', '"0 0 x"', "its xyz is '0 0 x'"),
+        ("small_description/meshes/mark.obj", "none.obj", "there is no mesh"),
+    ],
+)
+def test_what_nobody_can_know_is_found_without_a_change(arm: Path, old: str, new: str, what: str) -> None:
+    text = arm.read_text().replace("visual", "collision", 4)
+    arm.write_text(text.replace(old, new))
+    findings = Repair(arm).findings
+    assert what in findings[-1].what
+    assert not findings[-1].change
