@@ -33,7 +33,7 @@ from karolos.records.transfer_results import TransferResult
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.tables import setting
-from karolos.specification.explain import models_in
+from karolos.specification.bind import models_in
 from karolos.specification.model import Spec
 from karolos.store import tables
 
