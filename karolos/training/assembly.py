@@ -293,7 +293,8 @@ EPISODES = 16
 def try_environments(spec: Spec) -> Signature:
     """Make the first steps of an episode, and return the signature of the environments.
 
-    Several episodes and one of a test begin if randomization samples worlds. Environments of others are tried in a worker process, as in a run: they may end their process, or hang.
+    Several episodes and one of a test begin if randomization samples worlds. Environments of others are tried in a
+    worker process, as in a run: they may end their process, or hang.
 
     Raises:
         KarolosError: an environment cannot be made, fails, or diverges at once; names a setting or a plugin.
