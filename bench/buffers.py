@@ -16,8 +16,8 @@ from typing import Annotated, Any
 import numpy as np
 from typer import Option
 
-from karolos.buffers.storage import transition_layout
 from karolos.core import FloatArray, Layout, Signature, Transitions, random_actions
+from karolos.core.experience import transition_layout
 from karolos.core.seeding import SeedTree
 from karolos.plugins.inspection import pair
 from karolos.registry import load

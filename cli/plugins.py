@@ -179,7 +179,7 @@ def _settings(model: type[BaseModel], prefix: str = "") -> list[dict[str, Any]]:
     """One row per setting. The settings of a nested model follow with dotted names."""
     from pydantic_core import to_jsonable_python
 
-    from karolos.specification.explain import models_in
+    from karolos.specification.bind import models_in
 
     schemas = model.model_json_schema()["properties"] if model.model_fields else {}
     found = []

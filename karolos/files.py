@@ -81,6 +81,11 @@ def below(root: Path, name: str) -> Path:
     return path
 
 
+def is_portable(name: str) -> bool:
+    """Whether Windows allows a file of this name, too."""
+    return name.partition(".")[0].lower() not in system.RESERVED_NAMES and not name.endswith(".")
+
+
 def find_named(name: str, folder: Path) -> Path | None:
     """The file that is called `name` in a file of `folder`, as a mesh in a URDF; None if there is none.
 

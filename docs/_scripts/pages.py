@@ -31,7 +31,7 @@ from karolos.records import RunFolder, paths, run_records, shipped
 from karolos.registry import KINDS, entries, load, singular
 from karolos.report.comparison_figures import learning
 from karolos.report.tables import setting
-from karolos.specification.explain import models_in
+from karolos.specification.bind import models_in
 from karolos.specification.model import Spec
 from karolos.store import tables
 

@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Buffer, Discrete, Signature, State
-from ..core.deployed import Deployed
-from ..core.seeding import SeedTree
+from ..core import Buffer, Deployed, Discrete, SeedTree, Signature, State
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
 from .layers import Tape
-from .metrics import Metrics
 from .networks import MLP, NetworkShape
 from .noise import Noise
+from .optimisation import Metrics
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 

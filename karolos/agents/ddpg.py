@@ -9,13 +9,11 @@ import torch
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Batch, Signature
-from ..core.deployed import Deployed
-from ..core.seeding import SeedTree
+from ..core import Batch, Deployed, SeedTree, Signature
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .inputs import TensorBatch
-from .metrics import Metrics, report, saturation
 from .noise import ScaledNoiseSettings
+from .optimisation import Metrics, report, saturation
 
 
 class DDPG(ActorCritic):

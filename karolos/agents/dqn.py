@@ -12,15 +12,13 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Batch, Discrete, Signature
-from ..core.deployed import Deployed
+from ..core import Batch, Deployed, Discrete, SeedTree, Signature
 from ..core.schedules import Linear
-from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .device import Precision, uses_bfloat16
 from .inputs import TensorBatch
-from .metrics import Metrics, report
 from .networks import MLP, NetworkShape
+from .optimisation import Metrics, report
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 

@@ -16,13 +16,11 @@ from numpy.typing import NDArray
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Buffer, Discrete, FloatArray, Rollout, Signature, State
-from ..core.deployed import Deployed
-from ..core.seeding import SeedTree
+from ..core import Buffer, Deployed, Discrete, FloatArray, Rollout, SeedTree, Signature, State
 from ..errors import UsageError
 from .inputs import Normaliser, to_array
-from .metrics import learning_rates, saturation
 from .networks import MLP, NetworkShape
+from .optimisation import learning_rates, saturation
 from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 

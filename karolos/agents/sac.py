@@ -11,13 +11,11 @@ from pydantic import Field as Setting
 from pydantic import model_validator
 from torch import Tensor
 
-from ..core import Batch, Signature
-from ..core.seeding import SeedTree
+from ..core import Batch, SeedTree, Signature
 from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
 from .inputs import TensorBatch
-from .metrics import Metrics, report, saturation
 from .noise import NoiseSettings
-from .optimisation import Adam
+from .optimisation import Adam, Metrics, report, saturation
 from .quantiles import QuantileCritic, Quantiles
 from .squashed_gaussian import SquashedActions, squashed
 

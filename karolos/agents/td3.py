@@ -8,8 +8,7 @@ import torch
 from pydantic import Field as Setting
 from torch import Tensor
 
-from ..core import Signature
-from ..core.seeding import SeedTree
+from ..core import SeedTree, Signature
 from .ddpg import DDPG
 
 

@@ -19,14 +19,16 @@ from ..core import (
     Agent,
     AgentSettings,
     Batch,
+    Deployed,
     Experience,
     FloatArray,
+    Layer,
+    Output,
+    SeedTree,
     Signature,
     State,
 )
-from ..core.deployed import Deployed, Layer, Output
 from ..core.schedules import Linear
-from ..core.seeding import SeedTree
 from ..errors import UsageError
 from .inputs import INPUT_CLIP, NONE_MISSING, Normaliser, TensorBatch, tensor_batch, to_array
 from .layers import LAYER_NORM_EPSILON

@@ -15,9 +15,10 @@ from pydantic import Field as Setting
 from ..core import BoolArray, Discrete, FloatArray, Kind, Layout, Signature
 from ..core import Settings as BaseSettings
 from ..core.compiled import compiled
+from ..core.experience import transition_layout
 from ..core.settings import LATER
 from ..errors import PluginError, UsageError
-from .storage import StoredTransitions, transition_layout
+from .storage import StoredTransitions
 
 SIGNS: Mapping[Kind, tuple[int, ...]] = {
     "scalar": (1,),

@@ -8,9 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Buffer, Rollout, Signature, State, Transitions
+from ..core import Buffer, Rollout, SeedTree, Signature, State, Transitions
 from ..core import Settings as BaseSettings
-from ..core.seeding import SeedTree
 from ..errors import RunError, UsageError
 
 

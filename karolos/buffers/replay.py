@@ -9,13 +9,21 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Batch, Buffer, FloatArray, Signature, State, Transitions
+from ..core import (
+    Batch,
+    Buffer,
+    FloatArray,
+    SeedTree,
+    Signature,
+    State,
+    Transitions,
+    generator_state,
+    load_generator_state,
+)
 from ..core import Settings as BaseSettings
-from ..core.seeding import SeedTree, generator_state, load_generator_state
 from ..errors import RunError
 from .augmentation import Augmentation
-from .hindsight import Hindsight
-from .n_step import extend
+from .hindsight import Hindsight, extend
 from .storage import Slots, Storage
 
 

@@ -10,34 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ..core import Array, Field, FloatArray, Layout, Signature, State, Transitions
+from ..core import Array, FloatArray, Layout, Signature, State, Transitions
+from ..core.experience import SCALARS, transition_layout
 from ..errors import UsageError
 
 Slots = np.ndarray
 """Row numbers of the table: (n,) int64. Ring r holds the rows r * ring_size ... (r + 1) * ring_size - 1."""
-
-
-SCALARS = ("reward", "terminated", "step", "length")
-"""Fields of one number."""
-
-
-def transition_layout(signature: Signature) -> Layout:
-    """The columns of a stored transition.
-
-    `step`: index of the step in its episode, from 0. `length`: steps of the whole episode; 0 while it runs.
-    """
-    observation, achieved = signature.observation.size, signature.achieved_goal.size
-    return Layout(
-        (
-            Field("observation", observation),
-            Field("next_observation", observation),
-            Field("achieved_goal", achieved),
-            Field("next_achieved_goal", achieved),
-            Field("desired_goal", signature.desired_goal.size),
-            Field("action", signature.action.size),
-            *(Field(name, 1) for name in SCALARS),
-        )
-    )
 
 
 class StoredTransitions(dict[str, FloatArray]):

@@ -5,14 +5,27 @@ number of leading axes (none for one environment, one for several). An episode e
 next state is 0) or `truncated` (the next state has a value). Continuous actions are in [-1, 1].
 """
 
-from .agent import Agent
-from .arrays import Array, BoolArray, FloatArray, State
+from .agent import Agent, Deployed, Layer, Output
 from .buffer import Buffer
 from .environment import Environment, Expert
-from .experience import Batch, Experience, Rollout, Step, Transitions
+from .experience import Batch, Experience, Rollout, State, Step, Transitions
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
+from .seeding import Generator, SeedTree, generator_state, load_generator_state
 from .settings import AgentSettings, Settings
-from .signature import Discrete, Field, GoalRule, Kind, Layout, Measure, Signature, random_actions
+from .signature import (
+    Array,
+    BoolArray,
+    Discrete,
+    Field,
+    FloatArray,
+    GoalRule,
+    Kind,
+    Layout,
+    Measure,
+    Signature,
+    layout_differences,
+    random_actions,
+)
 
 __all__ = [
     "Agent",
@@ -22,6 +35,7 @@ __all__ = [
     "BoolArray",
     "Buffer",
     "BuildEnvironment",
+    "Deployed",
     "Discrete",
     "Environment",
     "Experience",
@@ -29,17 +43,24 @@ __all__ = [
     "Failure",
     "Field",
     "FloatArray",
+    "Generator",
     "GoalRule",
     "Kind",
+    "Layer",
     "Layout",
     "Measure",
     "Orchestrator",
+    "Output",
     "Received",
     "Rollout",
+    "SeedTree",
     "Settings",
     "Signature",
     "State",
     "Step",
     "Transitions",
+    "generator_state",
+    "layout_differences",
+    "load_generator_state",
     "random_actions",
 ]

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 from pydantic import BaseModel
 
 from ..errors import UsageError
-from .arrays import FloatArray, State
-from .experience import Experience, Transitions
-from .signature import Signature
+from .experience import Experience, State, Transitions
+from .signature import FloatArray, Signature
 
 if TYPE_CHECKING:
     from .seeding import SeedTree

@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import UsageError, described
-from .arrays import Array, FloatArray
 from .experience import Step
-from .signature import Signature
+from .signature import Array, FloatArray, Signature
 
 
 class Expert(ABC):

@@ -8,8 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from typing_extensions import TypeVar
 
-from .arrays import BoolArray, FloatArray
-from .signature import Signature
+from .signature import BoolArray, Field, FloatArray, Layout, Signature
+
+State = dict[str, Any]
+"""The state of a part: nested dicts of arrays, tensors, numbers and strings; no other objects."""
 
 
 class Step(NamedTuple):
@@ -59,6 +61,29 @@ class Transitions(NamedTuple):
     next_achieved_goal: FloatArray
     terminated: BoolArray
     truncated: BoolArray
+
+
+SCALARS = ("reward", "terminated", "step", "length")
+"""Fields of one number."""
+
+
+def transition_layout(signature: Signature) -> Layout:
+    """The columns of a stored transition.
+
+    `step`: index of the step in its episode, from 0. `length`: steps of the whole episode; 0 while it runs.
+    """
+    observation, achieved = signature.observation.size, signature.achieved_goal.size
+    return Layout(
+        (
+            Field("observation", observation),
+            Field("next_observation", observation),
+            Field("achieved_goal", achieved),
+            Field("next_achieved_goal", achieved),
+            Field("desired_goal", signature.desired_goal.size),
+            Field("action", signature.action.size),
+            *(Field(name, 1) for name in SCALARS),
+        )
+    )
 
 
 class Batch(NamedTuple):

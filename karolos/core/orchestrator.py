@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import KarolosError
-from .arrays import FloatArray
 from .environment import Environment
 from .experience import Step
-from .signature import Signature
+from .signature import FloatArray, Signature
 
 BuildEnvironment = Callable[[], Environment]
 """Builds one of an orchestrator's environments, each like the others. Picklable, so that workers can call it."""

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from .arrays import Array, BoolArray, FloatArray
-
+Array = NDArray[Any]
+FloatArray = NDArray[np.float32]
+BoolArray = NDArray[np.bool_]
 Kind = Literal["scalar", "point", "vector", "axial", "rotation", "wrench"]
 
 

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import pickle
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import replace
+from itertools import product
 from typing import Any
 
-from ..core import Environment
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ValidationError
+
+from ..core import Array, Environment, Expert, Field, FloatArray, Layout, SeedTree, Signature, Step, layout_differences
 from ..core.environment import close
-from ..core.signature import layout_differences
 from ..errors import PluginError, UsageError
+from ..randomization.distributions import Choice
 from ..registry import blaming, load
-from ..specification.parts import Part, Recipe
+from ..specification.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
-from .varied import VariedRobotTask, is_setting, recipes
 
 
 @contextmanager
@@ -90,3 +96,130 @@ def _join(recipe: Recipe) -> RobotTask:
 def _instance(part: Part) -> Any:
     """An instance of the plugin that the registry holds under this name."""
     return load(part.kind, part.name)(part.settings)
+
+
+MOST_WORLDS = 8
+"""Largest number of combinations of values. Each takes a world, which is 29 MB with PyBullet and 1.4 MB with MuJoCo."""
+
+
+class VariedRobotTask(Environment):
+    """A robot task for each combination of settings; an episode takes place in one of them.
+
+    Parameters of domain randomization change in a built world. What is fixed in it, such as the shape of a body, is
+    varied here: each combination has a world of its own, built at its first episode.
+
+    Args:
+        variants: the robot tasks, by the values of the settings.
+        distributions: of each setting ("task.object_size"), in the order of the values.
+
+    Raises UsageError if agents or buffers would notice which of the settings is in force.
+    """
+
+    def __init__(self, variants: Mapping[tuple[float, ...], RobotTask], distributions: Mapping[str, Choice]) -> None:
+        _check_alike({values: variant.signature for values, variant in variants.items()}, list(distributions))
+        self._variants = variants
+        self._distributions = distributions
+        self._drawn, self._current = next(iter(variants.items()))
+        signature = self._current.signature
+        settings = Layout(tuple(Field(name, 1) for name in distributions))
+        self.signature = replace(signature, parameters=signature.parameters + settings)
+        self.rate = self._current.rate
+
+    def reset(self, seed: int) -> Step:
+        # a separate generator: starts, goals and the other parameters are those of an episode without it
+        generator = SeedTree(seed).child("settings").generator()
+        self._drawn = tuple(one.draw(generator) for one in self._distributions.values())
+        self._current = self._variants[self._drawn]
+        return self._current.reset(seed)
+
+    def step(self, action: Array) -> Step:
+        return self._current.step(action)
+
+    def expert(self) -> Expert:
+        """As `RobotTask.expert`, for the current episode alone."""
+        return self._current.expert()
+
+    def parameters(self) -> FloatArray:
+        return np.concatenate([self._current.parameters(), np.array(self._drawn, np.float32)])
+
+    def measures(self) -> FloatArray:
+        return self._current.measures()
+
+    def render(self, width: int = 640, height: int = 480) -> NDArray[np.uint8]:
+        return self._current.render(width, height)
+
+    def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[NDArray[np.uint8]]:
+        return self._current.film(pictures, width, height)
+
+    def close(self) -> None:
+        for variant in self._variants.values():
+            variant.close()
+
+
+def is_setting(recipe: Recipe, name: str) -> bool:
+    """Whether `name` ("task.object_size") is a setting of the recipe's robot or task."""
+    key, _, field = name.partition(".")
+    part = {"robot": recipe.robot, "task": recipe.task}.get(key)
+    return part is not None and field in type(part.settings).model_fields
+
+
+def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Recipe]:
+    """The recipe with each combination of the values of these settings.
+
+    Raises:
+        UsageError: a distribution is no list of values, a value is not allowed, or there are too many combinations.
+    """
+    distributions = dict(recipe.randomization)
+    lists = []
+    for name in names:
+        part = distributions[name]
+        if not isinstance(part.settings, Choice.Settings):
+            raise UsageError(
+                f"{name} is fixed in a built world, so it cannot be drawn by {part.name!r}",
+                setting=f"randomization.{name}",
+                hint="list values: {name: choice, values: [...]}; each has a world of its own",
+            )
+        lists.append(dict.fromkeys(part.settings.values))
+    combinations = list(product(*lists))
+    if len(combinations) > MOST_WORLDS:
+        raise UsageError(
+            f"these values make {len(combinations)} worlds",
+            setting=", ".join(f"randomization.{name}" for name in names),
+            hint=f"at most {MOST_WORLDS} are built in each environment; list fewer values",
+        )
+    return {values: _with(recipe, dict(zip(names, values, strict=True))) for values in combinations}
+
+
+def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
+    for name, value in values.items():
+        key, _, field = name.partition(".")
+        part: Part = getattr(recipe, key)
+        try:
+            settings = validate_strictly(type(part.settings), {**part.settings.model_dump(mode="json"), field: value})
+        except ValidationError as error:
+            raise UsageError(
+                f"{name} cannot be {value:g}: {error.errors()[0]['msg']}", setting=f"randomization.{name}"
+            ) from error
+        changed = Part(part.kind, part.name, settings)
+        recipe = replace(recipe, robot=changed) if key == "robot" else replace(recipe, task=changed)
+    return recipe
+
+
+def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
+    first, signature = next(iter(signatures.items()))
+    for values, other in signatures.items():  # the first of them that is not alike differs in one setting
+        differences = layout_differences(other, signature, learning=True)
+        if not differences and _rules(other) != _rules(signature):
+            differences = ["episodes have another length, or another rule of reward and success"]
+        if differences:
+            index = next(index for index, value in enumerate(values) if value != first[index])
+            raise UsageError(
+                "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                + "; ".join(differences),
+                setting=f"randomization.{names[index]}",
+                hint=f"give it one value: {names[index]}={first[index]:g}",
+            )
+
+
+def _rules(signature: Signature) -> tuple[Any, ...]:
+    return signature.max_steps, signature.reward_range, signature.extra_reward, pickle.dumps(signature.goal_rule)

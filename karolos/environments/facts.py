@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from math import isclose
 from typing import Any
 
-from ..core import Environment, Signature
-from ..core.signature import layout_differences
+from ..core import Environment, Signature, layout_differences
 
 Scale = tuple[str, tuple[float, ...]]
 """Unit, and how far an action of 1 moves each number of a field in a control step."""

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field as Setting
 
-from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Measure, Signature, Step
+from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Measure, SeedTree, Signature, Step
 from ..core import Settings as BaseSettings
-from ..core.seeding import SeedTree
 from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core import Agent, Discrete, Environment, Signature, State, Step, random_actions
-from ..core.deployed import Deployed
+from ..core import Agent, Deployed, Discrete, Environment, Signature, State, Step, random_actions
 from ..core.seeding import SeedTree
 from ..environments.build import build_environment, used
 from ..environments.facts import Facts

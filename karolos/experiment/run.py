@@ -22,8 +22,8 @@ from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
 from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator
+from ..training.collecting import Episode
 from ..training.demonstrations import collect_demonstrations
-from ..training.episodes import Episode
 from ..training.training import Training
 from .checkpointer import BEST, Checkpointer
 from .events import Announcer, Listener, RunEnded, RunFinalTested, RunStarted, RunTested

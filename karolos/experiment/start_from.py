@@ -10,8 +10,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from ..core import Agent
-from ..core.deployed import Deployed
+from ..core import Agent, Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..errors import RunError, UsageError
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of

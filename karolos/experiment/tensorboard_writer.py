@@ -15,7 +15,7 @@ from ..errors import MachineError
 from ..files import writing
 from ..records.evaluation import Evaluation
 from ..specification.tree import leaves
-from ..training.episodes import Episode
+from ..training.collecting import Episode
 from ..training.training import Training
 from .resume import Snapshot
 from .writer import RunWriter

@@ -13,7 +13,7 @@ from ..records import RunFolder, provenance
 from ..records.evaluation import Evaluation
 from ..records.run_records import State
 from ..store import Store
-from ..training.episodes import Episode
+from ..training.collecting import Episode
 from ..training.training import Training
 from .events import Listener, RunWarned
 from .resume import Snapshot

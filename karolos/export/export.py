@@ -17,8 +17,7 @@ from typing import Any
 import numpy as np
 
 from .. import __version__
-from ..core import Discrete, Layout
-from ..core.deployed import Deployed
+from ..core import Deployed, Discrete, Layout
 from ..core.seeding import SeedTree
 from ..environments.build import used
 from ..errors import RunError

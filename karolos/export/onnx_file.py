@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..core import FloatArray
-from ..core.deployed import Deployed
+from ..core import Deployed, FloatArray
 from ..errors import MachineError
 from ..files import writing
 

@@ -9,8 +9,8 @@ from typing import Any, ClassVar, Self
 from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
+from ..core import Generator
 from ..core import Settings as BaseSettings
-from ..core.seeding import Generator
 
 
 class Distribution(ABC):

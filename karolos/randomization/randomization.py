@@ -10,8 +10,7 @@ import numpy as np
 from pydantic import BaseModel
 from pydantic import Field as Setting
 
-from ..core import Field, Layout
-from ..core.seeding import Generator
+from ..core import Field, Generator, Layout
 from ..errors import RunError, UsageError
 from ..registry import alternatives
 from .distributions import Distribution

@@ -8,6 +8,7 @@ from importlib.util import find_spec
 from typing import Any, Literal, NamedTuple
 
 from ..errors import UsageError
+from ..system import has_display
 from .interface import World
 from .interface.engine import Ability
 
@@ -33,6 +34,11 @@ class PhysicsEngine(NamedTuple):
     @property
     def installed(self) -> bool:
         return find_spec(self.module) is not None
+
+    @property
+    def has_window(self) -> bool:
+        """Whether it can show a world in a window on this machine."""
+        return "window" in self.abilities and has_display()
 
     def check(self, needs: Mapping[str, Ability]) -> None:
         """Raise UsageError when the engine is not installed, or lacks an ability that a setting needs."""

@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import PluginError, Problem
-from .bind import bind, validate
-from .explain import explain
+from .bind import bind, explain, validate
 from .files import SpecFiles, find_spec, override_trees
 from .model import Spec
-from .space import application_order, space_problems
+from .sweep import application_order, space_problems
 from .tree import (
     DEFAULT,
     SWEEP,

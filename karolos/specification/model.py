@@ -12,8 +12,7 @@ from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_valid
 from pydantic import Field as Setting
 
 from ..core import Settings
-from ..files import fingerprint
-from ..system import RESERVED_NAMES
+from ..files import fingerprint, is_portable
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep
 from .transfer import Transfer
@@ -25,7 +24,7 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 def _portable(name: str) -> str:
     """The name. Raises ValueError where Windows allows no file of that name."""
-    if name.partition(".")[0].lower() in RESERVED_NAMES or name.endswith("."):
+    if not is_portable(name):
         raise ValueError("cannot name a file on Windows: give another name")
     return name
 

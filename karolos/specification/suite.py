@@ -15,8 +15,7 @@ from pydantic import ValidationError
 
 from ..core import Settings
 from ..errors import KarolosError, Problem, SpecError
-from .bind import Invalid
-from .explain import explain
+from .bind import Invalid, explain
 from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
 from .load import load_spec
 from .model import Name, Spec

@@ -13,8 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ..core.seeding import Generator
-
+Generator = np.random.Generator
 _Floats = NDArray[np.float64]
 Statistic = Callable[[_Floats], _Floats]
 """A number for each row: values (..., n) to (...)."""

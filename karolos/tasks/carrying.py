@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from math import hypot
 
-from ..core import FloatArray
-from ..core.seeding import Generator
+from ..core import FloatArray, Generator
 from ..simulation.geometry import Vector
 from ..simulation.interface import Cup, Gripper, RobotView
 from .cube import BRAKING_SHARE, Cube, CubeTask, aligned, braking, drift

@@ -16,7 +16,7 @@ from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Box, Cup, Gripper, RobotView, Task, World
 from ..simulation.interface.engine import Ability, Material
 from ..simulation.shapes import Cuboid, Shape
-from .force_penalty import ForcePenalty
+from .settings import ForcePenalty
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0

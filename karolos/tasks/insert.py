@@ -8,16 +8,14 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure, Settings
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalRule, Layout, Measure, Settings
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .cube import LOST_DISTANCE, aligned, check_pads
-from .force_penalty import ForcePenalty
-from .starts import drawn_stage, start
+from .settings import ForcePenalty, drawn_stage, start
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
 PEG_LENGTH = 0.06

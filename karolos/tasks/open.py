@@ -9,18 +9,16 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
 from ..core import Settings as BaseSettings
-from ..core.seeding import Generator
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.parts import Link, mechanism
 from ..simulation.shapes import Cuboid, Shape, inertia_of
 from .cube import braking, drift
-from .force_penalty import ForcePenalty
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
-from .starts import drawn_stage, start
+from .settings import ForcePenalty, drawn_stage, start
 
 PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
 TRAVEL, ANGLE = 0.15, pi / 2

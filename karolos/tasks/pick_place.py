@@ -7,14 +7,13 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
 from ..randomization.randomization import Probability
 from ..simulation.interface import Box, Cup, RobotView
 from .carrying import Carrier, CarryTask
 from .cube import CubeSettings, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
-from .starts import drawn_stage, start
+from .settings import drawn_stage, start
 
 AIR_HEIGHT = 0.2
 """Highest goal above a resting cube in m, as in panda-gym."""

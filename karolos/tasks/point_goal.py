@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Field, FloatArray, GoalRule, Layout, Settings
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Field, FloatArray, Generator, GoalRule, Layout, Settings
 from ..errors import RunError, UsageError
 from ..simulation.geometry import Vector
 from ..simulation.interface import Box, Task, World

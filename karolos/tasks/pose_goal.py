@@ -7,8 +7,7 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 
-from ..core import Array, BoolArray, Field, FloatArray, GoalRule
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Field, FloatArray, Generator, GoalRule
 from ..errors import UsageError
 from ..simulation.geometry import Orientations, Quaternion, Vector, angles, columns, matrix_of
 from ..simulation.interface import Box, RobotView

@@ -6,14 +6,13 @@ from math import cos, hypot, pi, sin
 
 import numpy as np
 
-from ..core import Expert, Field, FloatArray, Layout
-from ..core.seeding import Generator
+from ..core import Expert, Field, FloatArray, Generator, Layout
 from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground
 from .point_goal import PointGoalSettings, PointGoalTask, sample_position
-from .starts import drawn_stage, start
+from .settings import drawn_stage, start
 
 CUBE_MARGIN = 0.03
 """m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..core import Expert, Field, FloatArray, Layout
-from ..core.seeding import Generator
+from ..core import Expert, Field, FloatArray, Generator, Layout
 from ..simulation.interface import RobotView
 from .point_goal import PointGoalSettings, PointGoalTask
 

@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Expert, FloatArray, Layout, Settings
-from ..core.seeding import Generator
+from ..core import Expert, FloatArray, Generator, Layout, Settings
 from ..simulation.geometry import axes
 from ..simulation.interface import RobotView, Stroke, Task, World
 from .point_goal import GOAL_COLOUR, check_threshold, sample_position

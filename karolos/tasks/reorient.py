@@ -7,8 +7,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field as Setting
 
-from ..core import Expert, FloatArray, Layout
-from ..core.seeding import Generator
+from ..core import Expert, FloatArray, Generator, Layout
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import (
@@ -31,7 +30,7 @@ from .cube import CUBE_COLOUR, Cube, CubeSettings, CubeTask, braking, check_pads
 from .point_goal import GOAL_COLOUR, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 from .reach_pose import AXIS_COLOURS, GOAL_BOX
-from .starts import drawn_stage, start
+from .settings import drawn_stage, start
 
 EDGES = (1.0, 4 / 3, 2.0)
 """Edges of the box in units of the smallest one; the cylinder is as long as the longest, as thick as the next. A hand

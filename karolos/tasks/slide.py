@@ -8,8 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Layout, Measure
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
@@ -19,7 +18,7 @@ from ..simulation.shapes import Cylinder, Shape
 from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
 from .push import PUSHING_CLEARANCE, PushExpert, near_start
-from .starts import drawn_stage, start
+from .settings import drawn_stage, start
 
 ROOM_BEHIND = 0.12
 """m of the workspace behind a puck at the start, for the gripper."""

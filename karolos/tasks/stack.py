@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Expert, Field, FloatArray, Layout, Measure
-from ..core.seeding import Generator
+from ..core import Expert, Field, FloatArray, Generator, Layout, Measure
 from ..errors import UsageError
 from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
@@ -18,7 +17,7 @@ from ..simulation.interface import RobotView
 from .carrying import HOVER_HEIGHT, Carrier, CarryTask
 from .cube import CUBE_COLOUR, CubeSettings, aligned, check_gripper, fields, ground
 from .point_goal import Places, sample_apart
-from .starts import drawn_stage, start
+from .settings import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
 """Least distance in m between the sides of cubes at the start, by their number: room for the fingers, or, beside two

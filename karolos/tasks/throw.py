@@ -8,17 +8,15 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, GoalRule, Layout, Measure
-from ..core.seeding import Generator
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalRule, Layout, Measure
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector, axes
 from ..simulation.interface import Box, Camera, RobotView, Stroke, World
 from ..simulation.interface.engine import GRAVITY
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper, check_pads
-from .flight import FLIGHT_STEPS, Flight, flight_time
 from .point_goal import GOAL_COLOUR, sample_position
-from .throw_planner import RUN_UP, ThrowPlanner
+from .throw_planner import FLIGHT_STEPS, RUN_UP, Flight, ThrowPlanner, flight_time
 
 FLOOR_CONTACT = 0.002
 """m above the floor below which a corner of the cube counts as touching it."""

@@ -1,23 +1,28 @@
-"""Builds the objects that a spec names, and checks whether they fit together."""
+"""Builds the objects that a spec names, and checks that they fit together and start on this machine."""
 
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
+from itertools import pairwise
+from operator import itemgetter
 
-from ..core import Agent, Buffer, Orchestrator, Signature
-from ..core.seeding import SeedTree
-from ..environments.build import build_environment, opened
-from ..errors import KarolosError, UsageError, described
-from ..registry import blaming, load
+import numpy as np
+
+from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, random_actions
+from ..core.experience import transition_layout
+from ..environments.build import build_environment, is_setting, opened
+from ..errors import KarolosError, PluginError, UsageError, WorkerError, described
+from ..registry import blaming, find, load
 from ..specification import Part, Spec
+from ..specification.parts import Recipe
 from ..specification.sweep import MEASURES, directions
 from ..specification.tree import PARTS
+from ..system import memory
 from .demonstrations import demonstrating_expert
-from .memory import check_memory, environments_of
-from .trial import try_environments
 
 REPLAY_SETTINGS = {
     "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
@@ -96,7 +101,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
             buffer.add_demonstrations(())
             with opened(spec.recipe(randomize=True)) as environment:
                 demonstrating_expert(environment)
-        return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
+        return _doubt(spec, agent, buffer, signature)
 
 
 @contextmanager
@@ -107,7 +112,7 @@ def _making(key: str, part: Part) -> Iterator[None]:
             yield
     except KarolosError:
         raise
-    except (Exception, SystemExit) as error:  # the constructor is anybody's
+    except (Exception, SystemExit) as error:  # a plugin may raise anything
         what = f"{key} {part.name!r} cannot be made: {described(error)}"
         raise UsageError(what, setting=f"{key}.name") from error
 
@@ -154,36 +159,25 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
             )
 
 
-def _without_updates(spec: Spec, agent: Agent, buffer: Buffer, max_steps: int) -> str | None:
-    """Why a run whose episodes last `max_steps` makes no gradient update; None if it makes some."""
+def _doubt(spec: Spec, agent: Agent, buffer: Buffer, signature: Signature) -> str | None:
+    """Why a run may make no gradient update, or all trials of a sweep may have the same objective; None: no reason."""
     amounts, size = spec.training, environments_of(spec)
+    budget = f"training.steps is {amounts.steps}"
     if agent.on_policy:
-        if buffer.capacity is None or buffer.capacity <= amounts.steps:
-            return None
-        return f"a run makes no update: a rollout takes {buffer.capacity} steps, and training.steps is {amounts.steps}"
-    if spec.demonstrations is not None and spec.demonstrations.updates:
-        return None
-    if amounts.replay_ratio == 0:
-        return "a run makes no update: training.replay_ratio is 0"
-    warmup = math.ceil(amounts.warmup_episodes / size) * max_steps * size
-    if warmup < amounts.steps:
-        return None
-    return (
-        f"a run may make no update: {amounts.warmup_episodes} warm-up episodes take up to {warmup} steps, and "
-        f"training.steps is {amounts.steps}"
-    )
-
-
-def _without_success(spec: Spec, signature: Signature) -> str | None:
-    """Why the objective of the spec's sweep may be the same for all trials; None if it is well-defined."""
-    undefined = (
-        []
-        if spec.sweep is None
-        else [name for name in spec.sweep.objectives if name != "return" and not name.startswith(MEASURES)]
-    )
-    if signature.has_success or not undefined:
-        return None
-    return f"the environment defines no success, so {undefined[0]} may stay 0: set sweep.objective=return"
+        if buffer.capacity is not None and buffer.capacity > amounts.steps:
+            return f"a run makes no update: a rollout takes {buffer.capacity} steps, and {budget}"
+    elif spec.demonstrations is None or not spec.demonstrations.updates:
+        if amounts.replay_ratio == 0:
+            return "a run makes no update: training.replay_ratio is 0"
+        episodes = amounts.warmup_episodes
+        warmup = math.ceil(episodes / size) * signature.max_steps * size
+        if warmup >= amounts.steps:
+            return f"a run may make no update: {episodes} warm-up episodes take up to {warmup} steps, and {budget}"
+    objectives = () if spec.sweep is None or signature.has_success else spec.sweep.objectives
+    for name in objectives:
+        if name != "return" and not name.startswith(MEASURES):
+            return f"the environment defines no success, so {name} may stay 0: set sweep.objective=return"
+    return None
 
 
 def _is_set(spec: Spec, name: str) -> bool:
@@ -218,3 +212,128 @@ def _origin(spec: Spec, path: str | None) -> str | None:
     changed = {origin for key, origin in spec.origins.items() if key.startswith(TOGETHER)}  # what it may contradict
     overrides = sorted(origin for origin in changed if origin.startswith("override "))
     return f"{place} with {' and '.join(overrides)}" if overrides else place
+
+
+FLOAT_BYTES = 4
+"""Size of a float32."""
+WORKER_BYTES = 30 << 20
+"""Memory of a worker process that it does not share with the others."""
+
+
+def environments_of(spec: Spec) -> int:
+    """Number of environments of a run; 1 if the orchestrator's settings do not say."""
+    return getattr(spec.orchestrator.settings, "size", 1)
+
+
+def check_memory(spec: Spec, signature: Signature, jobs: int = 1) -> None:
+    """Raise a UsageError if `jobs` runs of the spec need more memory than this machine has."""
+    needs = list(_needs(spec, signature))
+    needed, available = jobs * sum(size for size, _, _ in needs), memory()
+    if needed <= available:
+        return
+    largest, part, setting = max(needs, key=itemgetter(0))
+    what, hint = f"{part} needs {_size(largest)} of memory", f"lower {setting}"
+    if largest <= available:
+        what += f" ({f'{jobs} runs at the same time' if jobs > 1 else 'the whole run'}: {_size(needed)})"
+        hint += ", or run fewer seeds at the same time" if jobs > 1 else ""
+    raise UsageError(f"{what}, and this machine has {_size(available)}", setting=setting, hint=hint)
+
+
+def _needs(spec: Spec, signature: Signature) -> Iterator[tuple[int, str, str]]:
+    """The memory that parts need at least: bytes, the part in words, and the setting that makes it large.
+
+    Parts are known by their settings `processes`, `hidden`, `capacity` and `rollout`.
+    """
+    training, environments = spec.training, environments_of(spec)
+
+    processes = getattr(spec.orchestrator.settings, "processes", 0)
+    what = f"training and testing with {processes} worker processes each"
+    yield 2 * processes * WORKER_BYTES, what, "orchestrator.processes"
+    actions = 2 * environments * signature.max_steps * signature.action.size  # and a copy in a checkpoint
+    what = f"the actions of {environments:,} running episodes of up to {signature.max_steps:,} steps"
+    yield actions * FLOAT_BYTES, what, "orchestrator.environments"
+
+    agent, hidden = load("agents", spec.agent.name), getattr(spec.agent.settings, "hidden", ())
+    batch = f"a batch of {training.batch_size:,} transitions"
+    if isinstance(hidden, tuple) and hidden:
+        inputs = signature.observation.size + signature.desired_goal.size + signature.action.size
+        weights = sum((before + 1) * after for before, after in pairwise((inputs, *hidden, 1)))
+        what = f"an agent with networks of {' x '.join(map(str, hidden))} units"
+        yield getattr(agent, "arrays", 1) * weights * FLOAT_BYTES, what, "agent.hidden"
+        activations = 0 if agent.on_policy else 2 * training.batch_size * sum(hidden)
+        yield activations * FLOAT_BYTES, batch, "training.batch_size"
+
+    row, settings = transition_layout(signature).size * FLOAT_BYTES, spec.buffer.settings
+    if isinstance(capacity := getattr(settings, "capacity", None), int):
+        stored = max(capacity, 2 * min(capacity, training.steps))  # a checkpoint copies what is stored
+        yield stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity"
+        yield training.batch_size * row, batch, "training.batch_size"
+    if isinstance(rollout := getattr(settings, "rollout", None), int):
+        what = f"a rollout of {rollout:,} steps of {environments:,} environments"
+        yield rollout * environments * row, what, "buffer.rollout"
+    if spec.demonstrations is not None:
+        episodes = spec.demonstrations.episodes
+        what = f"a buffer for {episodes:,} demonstrations of up to {signature.max_steps:,} steps"
+        yield 2 * episodes * signature.max_steps * row, what, "demonstrations.episodes"
+
+
+def _size(count: int) -> str:
+    for unit, size in (("TB", 1e12), ("GB", 1e9)):
+        if count >= size:
+            return f"{count / size:,.1f} {unit}"
+    return f"{count / 1e6:,.0f} MB"
+
+
+STEPS = 3
+"""Steps of the first episode, with random actions."""
+EPISODES = 16
+"""Episodes that begin if randomization samples worlds. With at most eight worlds, hardly one is left out."""
+
+
+def try_environments(spec: Spec) -> Signature:
+    """Make the first steps of an episode, and return the signature of the environments.
+
+    Several episodes and one of a test begin if randomization samples worlds. Environments of others are tried in a
+    worker process, as in a run: they may end their process, or hang.
+
+    Raises:
+        KarolosError: an environment cannot be made, fails, or diverges at once; names a setting or a plugin.
+    """
+    recipe = spec.recipe(randomize=True)
+    if not any(is_setting(recipe, name) for name, _ in recipe.randomization):
+        return _tried(spec, recipe, 1)
+    _tried(spec, spec.recipe(randomize=False), 1)
+    return _tried(spec, recipe, EPISODES)
+
+
+def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
+    given, generator = spec.orchestrator.settings, np.random.default_rng(0)
+    processes, limit = getattr(given, "processes", 1), getattr(given, "time_limit", 60.0)
+    parts = filter(None, (recipe.environment, recipe.robot, recipe.task))
+    if all(find(one.kind, one.name).distribution == "karolos" and one.name != "gymnasium" for one in parts):
+        processes = 0  # our own code does not end its process
+    local = load("orchestrators", "local")
+    settings = local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
+    try:
+        with local(settings, partial(build_environment, recipe)) as environments:
+            for seed in range(episodes):
+                environments.reset([0], [seed])
+                count = 0 if seed else STEPS
+                for action in (*random_actions(environments.signature, count, generator), None):
+                    step = environments.receive().step
+                    if step.diverged[0]:
+                        raise PluginError("the first steps diverge: numbers are not finite, or an object is far away")
+                    if action is None or step.terminated[0] or step.truncated[0]:
+                        break
+                    environments.step([0], action[None])
+            signature: Signature = environments.signature
+            return signature
+    except KarolosError as error:
+        if error.setting is not None:
+            raise
+        # the number of the worker and of the environment says nothing: there is one of each
+        place = re.sub("^(worker|environment|building)[^:]*(: )?", "", error.where or "")
+        key = None if error.plugin else "environment.name" if spec.task is None else "task.name"
+        what = ": ".join(filter(None, (place, error.what)))
+        kind = PluginError if isinstance(error, WorkerError) else type(error)
+        raise kind(what, setting=key, plugin=error.plugin, hint=error.hint) from None

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..core import Environment, Expert, FloatArray, Step, Transitions
-from ..core.seeding import SeedTree
+from ..core import Environment, Expert, FloatArray, SeedTree, Step, Transitions
 from ..environments.build import opened
 from ..errors import RunError, UsageError
 from ..specification.model import DemonstrationSettings

@@ -22,12 +22,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
-from ..core import Agent, Buffer, Failure, Orchestrator, State
-from ..core.seeding import SeedTree
+from ..core import Agent, Buffer, Failure, Orchestrator, SeedTree, State
 from ..errors import RunError
 from ..specification.model import TrainingSettings
-from .collecting import Collector
-from .episodes import Episode
+from .collecting import Collector, Episode
 from .learning import Learner
 
 

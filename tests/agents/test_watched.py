@@ -15,7 +15,7 @@ from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
-from karolos.agents.metrics import REPORT_EVERY
+from karolos.agents.optimisation import REPORT_EVERY
 from karolos.agents.ppo import PPO
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3

@@ -10,8 +10,9 @@ from support.rig import ROBOTS, made
 
 from bench.buffers import filled_buffer
 from karolos.buffers.augmentation import Augmentation
-from karolos.buffers.storage import StoredTransitions, transition_layout
+from karolos.buffers.storage import StoredTransitions
 from karolos.core import FloatArray, random_actions
+from karolos.core.experience import transition_layout
 from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError

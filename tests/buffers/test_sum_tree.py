@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from karolos.buffers.sum_tree import SumTree
+from karolos.buffers.priority import SumTree
 
 numbers = st.floats(0, 1e6, allow_subnormal=False).map(lambda value: 0.0 if value < 1e-6 else value)
 

@@ -7,8 +7,8 @@ import pytest
 from support.rig import ENGINES, built, part, recipe, values
 
 from karolos.core import Environment
+from karolos.environments.build import VariedRobotTask
 from karolos.environments.robot_task import RobotTask
-from karolos.environments.varied import VariedRobotTask
 from karolos.errors import UsageError
 from karolos.specification.parts import Part
 

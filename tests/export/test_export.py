@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 from support.exported_policies import CASES, asked, trained
 
-from karolos.core import Agent
-from karolos.core.deployed import Deployed, Layer
+from karolos.core import Agent, Deployed, Layer
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy

@@ -8,8 +8,8 @@ from support.rig import ENGINES, ROBOTS, expert_episode, made, values
 
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.tasks.flight import flight_time
 from karolos.tasks.throw import Throw
+from karolos.tasks.throw_planner import flight_time
 
 REACH_AND_FURTHEST = {"panda": (0.95, 1.13), "ur5": (1.06, 1.21), "iiwa": (1.08, 1.73)}
 """m, as the task's docstring states them."""

@@ -98,7 +98,7 @@ def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text, expected = NEEDS_MEMORY[case]
-    monkeypatch.setattr("karolos.training.memory.memory", lambda: 10_000_000_000)
+    monkeypatch.setattr("karolos.training.assembly.memory", lambda: 10_000_000_000)
     agent = "{name: sac, hidden: [30000, 30000]}" if case == "networks" else "sac"
     steps = "{name: toy, max_steps: 1e5}" if case == "episodes" else "toy"
     path = tmp_path / "s.yaml"
@@ -108,7 +108,7 @@ def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
 
 
 def test_runs_at_the_same_time_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("karolos.training.memory.memory", lambda: 10_000_000_000)
+    monkeypatch.setattr("karolos.training.assembly.memory", lambda: 10_000_000_000)
     spec = spec_from_dict({"environment": "toy", "agent": "sac", "buffer": {"capacity": 1e8}})
     check_parts(spec)
     with pytest.raises(UsageError, match=r"needs 6\.4 GB of memory \(2 runs at the same time: 12\.9 GB\), and"):

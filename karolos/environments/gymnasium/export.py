@@ -20,13 +20,12 @@ from ...registry import alternatives, load
 from ...simulation.engines import ENGINES
 from ...specification import Spec, spec_from_dict
 from ...specification.parts import Part, Recipe
-from ...system import has_display
 from ..build import build_environment
 from ..facts import Facts
 from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
-RENDER_MODES = ["human", "rgb_array"] if has_display() else ["rgb_array"]
+RENDER_MODES = ["human", "rgb_array"] if any(one.has_window for one in ENGINES.values()) else ["rgb_array"]
 """Those that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
 
 

@@ -8,8 +8,7 @@ from typing import ClassVar, Literal, Protocol
 
 from pydantic import BaseModel
 
-from ...core import FloatArray, Layout, Measure
-from ...core.seeding import Generator
+from ...core import FloatArray, Generator, Layout, Measure
 from ...randomization.randomization import RandomizedParameter
 from ..geometry import Box, Orientations, Quaternion, Vector
 from ..kinematics import Configuration, Pose

@@ -9,8 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 from pydantic import BaseModel
 
-from ...core import Expert, FloatArray, GoalRule, Layout, Measure
-from ...core.seeding import Generator
+from ...core import Expert, FloatArray, Generator, GoalRule, Layout, Measure
 from ...randomization.randomization import RandomizedParameter, drawn_settings
 from .engine import FLOOR_FRICTION, GRAVITY, Ability, Camera, Stroke, World
 from .robot import ControlMode, GripperUse, RobotView
