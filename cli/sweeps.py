@@ -12,7 +12,7 @@ from karolos.errors import UsageError
 from .arguments import Database, Json, Runs, open_store
 from .completion import complete_folder
 from .output import drawn_text, print_rows, say
-from .sweep import print_trials, report_best
+from .plans import print_trials, report_best
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord

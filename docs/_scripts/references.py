@@ -31,7 +31,7 @@ from karolos.report.tables import count, duration
 from karolos.specification import load_spec, spec_from_dict
 from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
-from karolos.transfer.matrix import Matrix
+from karolos.plans.matrix import Matrix
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "runs" / "reference"

@@ -16,7 +16,7 @@ from multiprocessing.util import Finalize
 from .. import checkpoint
 from ..core import Agent, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
-from ..orchestrator.start import fresh_start
+from ..orchestrator.processes import fresh_start
 from ..orchestrator.worker import isolate
 from ..records.results import TestResult
 from ..specification import Spec, spec_from_dict
