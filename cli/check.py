@@ -52,7 +52,7 @@ def check(
             specs: Sequence[Spec] = () if is_suite(path) else [load_spec(path, overrides)]
             if not specs:
                 suite = load_suite(path, overrides)
-                from karolos.launchers.suite import fitted  # not for an invalid one, as below
+                from karolos.plans.suite import fitted  # not for an invalid one, as below
 
                 suite = fitted(suite)
                 specs, found = suite.specs, tuple(suite.refused.values())
@@ -80,7 +80,7 @@ def _check_parts(spec: Spec, runs: Path) -> str | None:
 
         pinned(spec, runs)
     if spec.transfer is not None:
-        from karolos.transfer.matrix import Matrix
+        from karolos.plans.matrix import Matrix
 
         Matrix(spec).check()
     return note

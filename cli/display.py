@@ -23,14 +23,13 @@ from karolos.experiment.events import (
     RunWarned,
     text_of,
 )
+from karolos.records.sweep_records import FinalBegan, TrialChanged
 from karolos.report.tables import clean
-from karolos.sweep.events import FinalBegan, TrialBegan, TrialEnded
 
 from .output import drawn_text
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
-    from karolos.sweep.events import SweepEvent
 
 SWEEP_SPEED_SECONDS = 600.0
 """Seconds over which the speed of a sweep is averaged for the time left."""
@@ -64,7 +63,7 @@ class Quiet(AbstractContextManager[Any]):
             self._print(event.traceback.rstrip())
         if isinstance(event, RunWarned) or (isinstance(event, RunEnded) and event.error):
             self._print(f"{event.run} {text_of(event)}")
-        elif isinstance(event, TrialEnded) and event.trial.state == "failed":
+        elif isinstance(event, TrialChanged) and event.trial.state == "failed":
             self._print(f"trial {event.trial.number} failed: {event.trial.error} [{event.done}/{event.asked}]")
 
 
@@ -207,9 +206,10 @@ class SweepDisplay(Quiet):
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
-        if isinstance(event, TrialBegan) and not self._bars:
-            self._print(f"trial {event.trial.number}: {drawn_text(event.trial)}")
-        elif isinstance(event, TrialEnded) and event.trial.state != "failed":
+        if isinstance(event, TrialChanged) and event.trial.state == "running":
+            if not self._bars:
+                self._print(f"trial {event.trial.number}: {drawn_text(event.trial)}")
+        elif isinstance(event, TrialChanged) and event.trial.state != "failed":
             found = self._values(event.trial)
             text = f"{event.trial.state}: {found}" if found else event.trial.state
             drawn = f" with {drawn_text(event.trial)}" if self._bars else ""
@@ -219,8 +219,8 @@ class SweepDisplay(Quiet):
         if self._bars:
             self._update(self._bars, event)
 
-    def _update(self, bar: Progress, event: SweepEvent) -> None:
-        if isinstance(event, TrialBegan | TrialEnded):
+    def _update(self, bar: Progress, event: TrialChanged | FinalBegan | RunWarned) -> None:
+        if isinstance(event, TrialChanged):
             best = event.best and f"best {self._values(event.best)} (trial {event.best.number})"
             done = f"{event.done}/{event.asked}"
             bar.update(self._task, total=event.asked, completed=event.done, done=done, best=best or "")

@@ -17,7 +17,7 @@ from typer.core import TyperGroup, TyperOption
 
 from karolos import __version__, system
 from karolos.errors import KarolosError, MachineError, PluginError
-from karolos.experiment.signals import TIME_LIMIT_EXIT, TimeIsUpError
+from karolos.experiment.interrupt import end_at_once
 
 from . import db, inspect, plugins, robot, runs, spec, sweeps
 from .board import board
@@ -25,11 +25,9 @@ from .check import check
 from .compare import compare, diff
 from .export import export
 from .output import say
+from .plans import suite, sweep, transfer
 from .play import play
 from .run import resume, run
-from .suite import suite
-from .sweep import sweep
-from .transfer import transfer
 from .ui import ui
 from .zero_shot import zero_shot
 
@@ -106,6 +104,8 @@ def main() -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (None if it is closed)
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     system.use_utf8()
+    if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, end_at_once)  # runs handle it themselves
     try:
         try:
             app()
@@ -131,6 +131,3 @@ def main() -> None:
         for line in str(error).splitlines():
             say(line)
         sys.exit(error.exit_code)
-    except TimeIsUpError as error:
-        say(str(error))
-        sys.exit(TIME_LIMIT_EXIT)

@@ -8,8 +8,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from karolos.errors import UsageError
 from karolos.report.tables import Table, clean, finite
 
@@ -77,13 +75,6 @@ def print_report(
             print_table(table)
         for line in notes:
             print(f"  {line}")
-
-
-def end_if_stopped(name: str, stop_code: int) -> None:
-    """Say how to continue what was stopped, and end."""
-    if stop_code:
-        say(f"{name} is stopped: the same command with --resume continues it")
-        raise typer.Exit(stop_code)
 
 
 def check_folder(path: Path, allowed: str) -> None:

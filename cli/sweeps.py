@@ -10,7 +10,7 @@ import typer
 from .arguments import Database, Json, Runs
 from .completion import complete_folder
 from .output import drawn_text, print_rows, say, warn
-from .sweep import print_trials, report_best
+from .plans import print_trials, report_best
 
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord

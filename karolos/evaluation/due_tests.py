@@ -15,7 +15,7 @@ from multiprocessing.util import Finalize
 
 from ..core import Agent, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
-from ..orchestrator.start import fresh_start
+from ..orchestrator.processes import fresh_start
 from ..orchestrator.worker import isolate
 from ..records import checkpoint
 from ..records.evaluation import Evaluation

@@ -1,4 +1,4 @@
-"""Ctrl-C while a command imports its libraries. Imports next to nothing itself."""
+"""Ctrl-C while a command imports its libraries, and SIGTERM where nothing else handles it. Imports next to nothing."""
 
 import os
 import signal
@@ -12,13 +12,14 @@ class BriefInterrupt:
         usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it
         self._handles = usual and threading.current_thread() is threading.main_thread()
         if self._handles:
-            signal.signal(signal.SIGINT, _end)
+            signal.signal(signal.SIGINT, end_at_once)
 
     def __exit__(self, *_: object) -> None:
         if self._handles:
             signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def _end(*_: object) -> None:
-    os.write(2, b"interrupted\n")
-    os._exit(128 + signal.SIGINT)
+def end_at_once(number: int, _: object) -> None:
+    """A handler of signals that ends the process with a line and the exit code of a shell."""
+    os.write(2, b"interrupted\n" if number == signal.SIGINT else b"terminated\n")
+    os._exit(128 + number)

@@ -1,4 +1,4 @@
-"""The tests of a run that are due: plays them here, or beside training in a second process."""
+"""The tests of a run that are due: plays them here, or in a second process during training."""
 
 from __future__ import annotations
 
@@ -28,30 +28,26 @@ MAX_LOST_PROCESSES = 3
 """Second processes that may be lost until tests are played in the run's own process only."""
 
 
-class _AbandonedError(Exception):
-    """A test that is played here breaks off."""
-
-
 class PendingTests:
     """Plays the tests of a run in the order in which they are due.
 
-    Where an episode is played does not change its result. A test consists of parts, which both processes take in turn.
+    A test consists of parts. Where a part is played does not change its result.
 
     * The first test is played when it is due, and training waits for it: a person waits for its result.
     * The run's own process plays tests until they are long enough for a second process, which is then started.
-    * From then on training goes on beside a test. When the next test is due, training waits until the one before is
+    * From then on training goes on during a test. When the next test is due, training waits until the one before is
       over: on a busy machine the second process may hardly run.
     * After training both processes play what is left.
 
-    A process without another part plays the part of the other one as well, and the first result counts. So a second
-    process that hangs or starves costs no more than it would have spared.
+    A process without another part plays the part of the other one as well, and the first result counts: a second
+    process that hangs costs no more than it would have spared.
 
     Args:
         spec: of the run.
         training: is tested.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
         writer: of the run, for warnings.
-        stop: a request abandons the part that is played here. The tests stay pending.
+        stop: a request breaks off the part that is played here. The tests stay pending.
         announce: is called with the progress of a test.
         beside: whether a second process may be started.
     """
@@ -74,7 +70,7 @@ class PendingTests:
         self._any_finished = False
         """Whether this process has seen a result."""
         self._results: dict[DueEvaluation, Evaluation] = {}
-        """Of parts of pending tests."""
+        """The results of parts of pending tests."""
         self._evaluator = Evaluator(spec)
         self._here: DueEvaluation | None = None
         """The part that this process plays."""
@@ -95,7 +91,7 @@ class PendingTests:
         self.catch_up()
 
     def catch_up(self) -> None:
-        """Play tests here until no more wait than may wait beside training."""
+        """Play tests here until no more wait than may wait during training."""
         while not self._stop.requested:
             most = MAX_WAITING if self._process is not None and self._any_finished else 0
             if self._waiting() <= most:
@@ -166,14 +162,16 @@ class PendingTests:
 
         def on_round(completed: int) -> None:
             self._tell(completed)
+            # What tests take decides whether a second process is started.
             self._spent, self._played = spent + perf_counter() - started, played + completed
             if self._is_process_worthwhile():
                 self._process = EvaluationProcess(self._spec)
+            # The second process may wait for another part, or have played this one.
             self.advance()
             if part in self._results or self._stop.requested:
-                raise _AbandonedError
+                raise StopRequestedError
 
-        with suppress(_AbandonedError, StopRequestedError):
+        with suppress(StopRequestedError):
             with self._stop.at_once():
                 self._evaluator.prepare()
             self._record(part, self._evaluator.play(part, self._writer.warn_of_failure, on_round))

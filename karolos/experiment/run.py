@@ -29,7 +29,7 @@ from .checkpointer import BEST, Checkpointer
 from .events import Announcer, Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, check_files, newest_snapshot
-from .signals import StopRequest, StopRequestedError, TimeIsUpError
+from .signals import StopRequest, StopRequestedError
 from .start_from import apply, find
 from .tensorboard_writer import TensorBoardWriter
 from .writer import Ending, RunWriter
@@ -78,11 +78,11 @@ class Run:
         try:
             self._writer.start(self.snapshot, learner(self.spec), exact=self.spec.training.at_least is None)
             ending = self._train()
-        except (KeyboardInterrupt, TimeIsUpError) as error:
-            self._end(Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once"))
-            raise
-        except StopRequestedError:  # while something was built or loaded; checkpoints are as before
-            ending = Ending("stopped", reason=self.stop.reason)
+        except (KeyboardInterrupt, StopRequestedError) as error:  # checkpoints are as before
+            ending = Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once")
+            if isinstance(error, KeyboardInterrupt):
+                self._end(ending)
+                raise
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
@@ -301,7 +301,7 @@ def run_or_resume(
         url: SQLAlchemy URL of the results database; None: another process indexes the run.
         listener: is called with every RunEvent.
         stop: is checked after each round.
-        beside: whether tests may be played beside training, in a second process.
+        beside: whether a second process may play tests during training.
 
     Raises:
         RunError: no checkpoint can be used, or a file that the spec names was changed.

@@ -5,7 +5,6 @@ The signals are SIGINT, SIGTERM, SIGHUP and SIGUSR1. A second SIGINT stops at on
 
 from __future__ import annotations
 
-import math
 import signal
 import threading
 import time
@@ -17,21 +16,20 @@ from pathlib import Path
 from types import FrameType
 
 from .. import system
+from ..core import Orchestrator
 
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
-HANG_SECONDS = 60.0
-"""Time after the time limit from which whatever does not end is interrupted, e.g. an environment that hangs."""
 LOOK_SECONDS = 0.2
-"""Time between two looks for the file `stop`."""
+"""Time between two looks for a request, e.g. the file `stop`."""
+GRACE_SECONDS = 0.6
+"""Time after a request in which environments have to answer. Then the round is broken off."""
+HANG_SECONDS = 60.0
+"""Time after the time limit from which anything else is broken off, e.g. an environment whose `close` hangs."""
 
 
 class StopRequestedError(BaseException):
     """Breaks off what is going on, because a stop is requested. Who catches any Exception does not catch it."""
-
-
-class TimeIsUpError(BaseException):
-    """Interrupts what hangs beyond the time limit. A plugin that catches any Exception does not catch it."""
 
 
 @dataclass
@@ -49,15 +47,19 @@ class StopRequest:
     _reason: str | None = field(default=None, init=False)
     """The content of the file."""
     _looked: float = field(default=0.0, init=False)
+    _since: float | None = field(default=None, init=False)
+    """When the request was noticed."""
+    _calm_until: float = field(default=0.0, init=False)
+    """Nothing is broken off before this time, so that what was broken off can clean up."""
     handles_signals: bool = field(default=False, init=False)
     """Whether signals reach it, which they do in the main thread only."""
     breaks: bool = field(default=False, init=False)
-    """Whether a signal breaks off what is going on."""
+    """Whether a request breaks off what is going on."""
 
     def watch(self, file: Path) -> None:
         """Look from now on for this file, of the run that begins; a request by the file before is over."""
         system.remove(file, missing_ok=True)  # of an earlier process
-        self.file, self._reason = file, None
+        self.file, self._reason, self._since, self._calm_until = file, None, None, 0.0
 
     @property
     def requested(self) -> bool:
@@ -100,21 +102,22 @@ class StopRequest:
         if self.breaks or not self.handles_signals:
             yield
             return
-        self.set_breaks(True)
+        self.breaks = True
         try:
             yield
         finally:
-            self.set_breaks(False)
-
-    def set_breaks(self, breaks: bool) -> None:
-        """Have the main thread `look` while a block may be broken off, and when the time limit is over for long."""
-        self.breaks = breaks
-        system.set_alarm(LOOK_SECONDS if self.breaks else HANG_SECONDS / 10 if self.deadline is not None else 0.0)
+            self.breaks = False
 
     def look(self, frame: FrameType | None) -> None:
-        """Break off what may be broken off in this frame, if a stop is requested."""
-        if self.breaks and self.requested and _can_break(frame):
-            self.breaks = False
+        """Break off what goes on in this frame, if a stop is requested and it may be broken off or takes too long."""
+        now = time.monotonic()
+        if not self.requested or now < self._calm_until or not _can_break(frame):
+            return
+        self._since = now if self._since is None else self._since
+        waited = now - self._since
+        hangs = waited >= HANG_SECONDS and self.time_is_up  # after a signal a person can send another one
+        if self.breaks or hangs or (waited >= GRACE_SECONDS and _is_receiving(frame)):
+            self.breaks, self._calm_until = False, now + HANG_SECONDS
             raise StopRequestedError
 
     @property
@@ -130,6 +133,14 @@ def _can_break(frame: FrameType | None) -> bool:
     code = [one.f_code for one, _ in traceback.walk_stack(frame)]
     files = " ".join(one.co_filename for one in code)
     return not ("<frozen importlib" in files or "llvmlite" in files or "__del__" in [one.co_name for one in code])
+
+
+def _is_receiving(frame: FrameType | None) -> bool:
+    """Whether a frame waits for the answers of environments: one of them may hang."""
+    return any(
+        one.f_code.co_name == "receive" and isinstance(one.f_locals.get("self"), Orchestrator)
+        for one, _ in traceback.walk_stack(frame)
+    )
 
 
 @contextmanager
@@ -151,8 +162,6 @@ def stop_on_signals(
         yield request
         return
 
-    hangs_at = math.inf if request.deadline is None else request.deadline + HANG_SECONDS
-
     def handle(number: int, frame: FrameType | None) -> None:
         if request.signal is None:
             request.signal = number
@@ -160,18 +169,11 @@ def stop_on_signals(
             raise KeyboardInterrupt
         request.look(frame)
 
-    def interrupt(_number: int, frame: FrameType | None) -> None:
-        nonlocal hangs_at
-        request.look(frame)
-        if time.monotonic() >= hangs_at:
-            hangs_at += HANG_SECONDS
-            raise TimeIsUpError("the time limit is over, and something does not end: it was interrupted")
-
     kept = [one for one in system.STOP_SIGNALS if signal.getsignal(one) != signal.SIG_IGN]
     before = {number: signal.signal(number, handle) for number in kept}
-    before[system.ALARM] = system.on_alarm(interrupt)
+    before[system.ALARM] = system.on_alarm(lambda _, frame: request.look(frame))
     request.handles_signals = True
-    request.set_breaks(False)
+    system.set_alarm(LOOK_SECONDS)
     try:
         yield request
     finally:

@@ -1,4 +1,4 @@
-"""The driver starts the folders of jobs through a launcher, follows them, stops them and starts again what died.
+"""The driver starts the folders of jobs through a launcher, follows them, stops them, and starts again what died.
 
 It knows nothing of processes, so that they may be on other machines.
 """
@@ -6,15 +6,13 @@ It knows nothing of processes, so that they may be on other machines.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections import deque
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Literal
 
 from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
-from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.signals import StopRequest
 from ..files import read_object, write_whole
 from ..registry import load
 from ..specification import Spec
@@ -23,7 +21,7 @@ from .local import LocalLauncher
 
 
 def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
-    """The spec's launcher, for so many runs at the same time. Raises UsageError if they are less than one."""
+    """The spec's launcher, for `jobs` runs at the same time. Raises UsageError if they are less than one."""
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
     if spec.launcher is None:
@@ -32,18 +30,42 @@ def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
     return launcher
 
 
-@contextmanager
-def driving(spec: Spec, jobs: int | None, listener: Listener, time_limit: float | None) -> Iterator[Driver]:
-    """A driver with the spec's launcher, which a signal or the time limit in seconds stops."""
-    with stop_on_signals(time_limit=time_limit) as stop, make_launcher(spec, jobs) as launcher:
-        yield Driver(launcher, listener, stop, retries=1)
+class Job:
+    """Tasks that are stopped together: the runs of a spec, or the zero-shot tests of a matrix."""
+
+    together = False
+    """Whether the failure of one task stops the others."""
+    error: str | None = None
+    """The error of the first task that failed."""
+    halted: str | None = None
+    """Why its tasks were stopped."""
+    listed: Sequence[FolderTask] = ()
+    """Its tasks, if they are known before the driver takes the job."""
+
+    def tasks(self) -> Iterable[FolderTask]:
+        """What there is to execute. Called once, when the driver takes the job."""
+        return self.listed
+
+    def heard(self, event: RunEvent) -> str | None:  # noqa: ARG002  (others do)
+        """Called with each event of a task. Returns a reason to stop the job, or None."""
+        return None
+
+    def ended(self) -> None:
+        """Called when all tasks are over."""
 
 
 class FolderTask(ABC):
-    """A folder that a process executes: a run, or a zero-shot test."""
+    """A folder that a process executes: a run, or a zero-shot test.
 
+    A task is waiting, then active, then over. If its process died, it is waiting again.
+    """
+
+    job: Job
+    path: Path
+    """The folder, from `begin` on."""
+    state: Literal["waiting", "active", "over"] = "waiting"
     deaths = 0
-    """Processes that died."""
+    """Number of its processes that died."""
 
     @abstractmethod
     def begin(self) -> Path:
@@ -62,42 +84,6 @@ class FolderTask(ABC):
         """Record the end and yield what it means. `problem`: why it has no end of its own."""
 
 
-class Job:
-    """Tasks that start and stop together."""
-
-    together = False
-    """Whether the failure of one task stops the others."""
-    error: str | None = None
-    """The error of the first task that failed."""
-    halted: str | None = None
-    """Why its tasks were stopped."""
-
-    def tasks(self) -> Iterable[FolderTask]:
-        """What there is to execute."""
-        raise NotImplementedError
-
-
-AnyJob = TypeVar("AnyJob", bound=Job)
-
-
-class Feed(Generic[AnyJob]):
-    """The source of a driver's jobs, which hears what happens to them. This one has a list of jobs."""
-
-    def __init__(self, *jobs: AnyJob) -> None:
-        self._jobs = deque(jobs)
-
-    def next(self) -> AnyJob | None:
-        """The next job to start; None if there is none at the moment."""
-        return self._jobs.popleft() if self._jobs else None
-
-    def heard(self, job: AnyJob, event: RunEvent) -> str | None:  # noqa: ARG002
-        """Called with each event of a run. Returns a reason to stop the job's runs, or None."""
-        return None
-
-    def ended(self, job: AnyJob) -> None:
-        """Called when no task of the job is active."""
-
-
 class Driver:
     """Executes jobs through a launcher.
 
@@ -110,52 +96,67 @@ class Driver:
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:
         self._launcher, self._listener, self.stop, self._retries = launcher, listener, stop, retries
-        self._waiting: deque[tuple[Job, FolderTask]] = deque()
-        self._active: dict[Path, tuple[Job, FolderTask]] = {}
+        self._work: dict[Job, list[FolderTask]] = {}
+        """The jobs in work, each with its tasks."""
 
-    def run(self, feed: Feed[Any]) -> None:
-        """Run the feed's jobs until it has no more."""
-        jobs: list[Job] = []
+    def run(self, jobs: Iterable[Job], most: int | None = None) -> None:
+        """Execute jobs. The next one is taken when fewer than `most` are in work; None: all are taken at once."""
+        coming = iter(jobs)
         while True:
-            while not self.stop.requested and (job := feed.next()) is not None:
-                jobs.append(job)
-                self._waiting += [(job, task) for task in job.tasks()]
-            if not jobs:
+            # Take jobs, as long as no stop is requested.
+            while not self.stop.requested and (most is None or len(self._work) < most):
+                job = next(coming, None)
+                if job is None:
+                    break
+                self._work[job] = list(job.tasks())
+            if not self._work:
                 return
-            self._halt_all(jobs)
-            for _ in range(min(self._launcher.room(len(self._waiting)), len(self._waiting))):
-                job, task = self._waiting.popleft()
-                try:
-                    folder = task.begin().resolve()
-                except RunError as error:
-                    self._tell(job, task.end(str(error)), feed)
-                    continue
-                self._active[folder] = job, task
-                self._launcher.start(folder)
-                self._tell(job, task.events(), feed)
-            if self._waiting or self._active:
-                ended = self._launcher.wait(self._launcher.poll_seconds)
-                for job, task in self._active.values():
-                    self._tell(job, task.events(), feed)
-                self._halt_all(jobs)
-                if ended is not None:
-                    self._end(ended, feed)
-            busy = [job for job, _ in (*self._active.values(), *self._waiting)]
-            for job in [job for job in jobs if job not in busy]:
-                jobs.remove(job)
-                feed.ended(job)
+            self._pass_stop_on()
 
-    def _tell(self, job: Job, events: Iterable[RunEvent], feed: Feed[Any]) -> None:
+            # Start tasks where the launcher has room.
+            waiting = self._tasks("waiting")
+            for task in waiting[: self._launcher.room(len(waiting))]:
+                if task.state == "waiting":  # its job may have been halted by an event of the task before
+                    self._start(task)
+
+            # Look into the folders, and for a process that has ended.
+            if self._tasks("waiting") or self._tasks("active"):
+                ended = self._launcher.wait(self._launcher.poll_seconds)
+                for task in self._tasks("active"):
+                    self._tell(task, task.events())
+                self._pass_stop_on()
+                if ended is not None:
+                    self._end(ended)
+
+            # Leave the jobs whose tasks are over.
+            for job in [job for job, tasks in self._work.items() if all(task.state == "over" for task in tasks)]:
+                del self._work[job]
+                job.ended()
+
+    def _tasks(self, state: str) -> list[FolderTask]:
+        return [task for tasks in self._work.values() for task in tasks if task.state == state]
+
+    def _start(self, task: FolderTask) -> None:
+        try:
+            task.path = task.begin().resolve()
+        except RunError as error:
+            task.state = "over"
+            self._tell(task, task.end(str(error)))
+            return
+        task.state = "active"
+        self._launcher.start(task.path)
+        self._tell(task, task.events())
+
+    def _tell(self, task: FolderTask, events: Iterable[RunEvent]) -> None:
         for event in events:
             self._listener(event)
-            reason = feed.heard(job, event)
+            reason = task.job.heard(event)
             if reason is not None:
-                self._halt(job, reason)
+                self._halt(task.job, reason)
 
-    def _halt_all(self, jobs: Iterable[Job]) -> None:
-        """Stop all jobs if it is requested."""
+    def _pass_stop_on(self) -> None:
         if self.stop.requested:
-            for job in jobs:
+            for job in self._work:
                 self._halt(job, self.stop.reason or "stopped")
 
     def _halt(self, job: Job, reason: str) -> None:
@@ -163,27 +164,28 @@ class Driver:
         if job.halted:
             return
         job.halted = reason
-        self._waiting = deque(one for one in self._waiting if one[0] is not job)
-        for folder, (other, _) in self._active.items():
-            if other is job:
-                write_whole(folder / STOP, reason)
+        for task in self._work[job]:
+            if task.state == "active":
+                write_whole(task.path / STOP, reason)
+            else:
+                task.state = "over"
 
-    def _end(self, ended: Ended, feed: Feed[Any]) -> None:
-        """Record the end of a task, or start it again if its process died."""
-        job, task = self._active[ended.folder]
-        self._tell(job, task.events(), feed)
-        del self._active[ended.folder]
+    def _end(self, ended: Ended) -> None:
+        """Record the end of a task, or let it wait for another process if its own died."""
+        task = next(one for one in self._tasks("active") if one.path == ended.folder)
+        self._tell(task, task.events())
         problem = ended.problem
         if (refusal := (read_object(ended.folder / LAUNCH) or {}).get("problem")) is not None:
             problem = str(refusal)  # another process would refuse as well
         elif ended.died and task.is_over():
             problem = None
-        elif ended.died and not job.halted:
+        elif ended.died and not task.job.halted:
             task.deaths += 1
             if task.deaths <= self._retries:
-                self._waiting.appendleft((job, task))
+                task.state = "waiting"
                 return
             problem = f"{problem}, {task.deaths} times" if self._retries else problem
-        self._tell(job, task.end(problem), feed)
-        if job.together and job.error is not None:
-            self._halt(job, "another run of this trial failed")
+        task.state = "over"
+        self._tell(task, task.end(problem))
+        if task.job.together and task.job.error is not None:
+            self._halt(task.job, "another run of this trial failed")

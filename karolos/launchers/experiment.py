@@ -24,28 +24,31 @@ from ..specification import Spec, spec_from_dict
 from ..store.query import prepare_index
 from ..system import cores
 from ..training.assembly import check_parts
-from .driver import Driver, Feed, make_launcher
+from .driver import Driver, make_launcher
 from .runs import Existing, Home, RunJob
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """The runs of an experiment, in the order of the seeds. Seeds that never started after a stop are missing.
+    """How an experiment, a sweep, a suite or a matrix of transfers ended."""
 
-    A run whose process died is `lost`.
-    """
-
-    runs: tuple[RunSummary, ...]
-    requested: int
-    """Number of seeds."""
+    complete: bool
+    """Whether everything that was asked for is there."""
     stop_code: int = 0
     """`StopRequest.exit_code`; 0 if no stop was requested."""
+    runs: tuple[RunSummary, ...] = ()
+    """The runs of an experiment, in the order of the seeds. Seeds that never started after a stop are missing; a run
+    whose process died is `lost`."""
+
+    @classmethod
+    def of(cls, runs: Sequence[RunSummary], requested: int, stop_code: int = 0) -> Outcome:
+        """The outcome of an experiment with this number of seeds."""
+        return cls(sum(run.state == "finished" for run in runs) == requested, stop_code, tuple(runs))
 
     @property
     def exit_code(self) -> int:
-        """0 if every seed has a finished run, else 1; after a stop 128 + signal, or 124 for the time limit."""
-        finished = sum(run.state == "finished" for run in self.runs)
-        return 0 if finished == self.requested else self.stop_code or 1
+        """0 if it is complete, else 1; after a stop 128 + signal, or 124 for the time limit."""
+        return 0 if self.complete else self.stop_code or 1
 
     def __str__(self) -> str:
         """A table with one line per run."""
@@ -138,9 +141,9 @@ class Experiment:
             else:
                 job = RunJob(spec, home)
                 with make_launcher(self.spec, jobs) as launcher:
-                    Driver(launcher, listener, stop).run(Feed(job))
+                    Driver(launcher, listener, stop).run([job])
                 summaries = [job.summaries[seed] for seed in spec.seeds if seed in job.summaries]
-        outcome = Outcome(tuple(summaries), len(self.spec.seeds), stop.exit_code)
+        outcome = Outcome.of(summaries, len(self.spec.seeds), stop.exit_code)
         if check:
             if stop.signal == signal.SIGINT:
                 raise KeyboardInterrupt
@@ -172,7 +175,7 @@ def resume_run(
         SpecError: its resolved spec is damaged, or of another version.
     """
     if not overrides and folder.state().state == "finished":
-        return Outcome((folder.summary(),), 1)
+        return Outcome.of([folder.summary()], 1)
     spec = continued_spec(folder, overrides) if overrides else spec_from_dict(folder.spec())
     prepare_index(folder.path.parent, url)  # an unusable database is an error before anything is computed
     listener = listener or (lambda _: None)
@@ -180,11 +183,11 @@ def resume_run(
         with suppress(StopRequestedError), stop.at_once():
             check_parts(spec)
         if stop.requested:
-            return Outcome(() if overrides else (folder.summary(),), 1, stop.exit_code)
+            return Outcome.of([] if overrides else [folder.summary()], 1, stop.exit_code)
         if overrides:
             folder = continue_from(folder, spec, listener)
         summary = _execute(folder, url, listener, stop)
-    return Outcome((summary,), 1, stop.exit_code)
+    return Outcome.of([summary], 1, stop.exit_code)
 
 
 def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:

@@ -116,8 +116,8 @@ class LocalLauncher(Launcher):
     @override
     def close(self, *, kill: bool) -> None:
         for process in self._processes:
-            process.orders.close()  # which ends an idle process, and a run after a checkpoint
-            if kill or not process.ready:
+            process.orders.close()  # which ends a run after a checkpoint
+            if kill or process.folder is None:
                 process.child.kill()
         for process in self._processes:
             process.child.wait()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -64,12 +64,16 @@ class Home:
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
-        home = cls(Path(runs), database or Store.default_url(runs), existing, spec.text)
+        home = cls(Path(runs), database or Store.default_url(runs), existing)
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)
-        remove_lost_leftovers(home.runs, f"{spec.name}-*")
         prepare_index(home.runs, home.url)  # before anything is computed
-        return home
+        return home.of(spec)
+
+    def of(self, spec: Spec) -> Home:
+        """The same home for the runs of another spec."""
+        remove_lost_leftovers(self.runs, f"{spec.name}-*")
+        return replace(self, text=spec.text)
 
     def find(self, spec: Spec, seed: int) -> RunFolder | None:
         """The run to use instead of a new one: a finished one, or one to resume."""
@@ -86,7 +90,7 @@ class Home:
 
 @dataclass(eq=False)
 class RunJob(Job):
-    """A spec with several seeds, and the results of its runs.
+    """The runs of a spec, one for each seed.
 
     Args:
         spec: with its seeds.
@@ -99,10 +103,8 @@ class RunJob(Job):
     home: Home
     together: bool = False
     known: Mapping[int, RunFolder] = field(default_factory=dict)
-    tests: dict[int, dict[int, Evaluation]] = field(default_factory=dict)
-    """Seed -> steps -> test."""
-    finals: dict[int, Evaluation] = field(default_factory=dict)
-    """Seed -> the policy `last` in the final test, for runs that have one."""
+    folders: dict[int, RunFolder] = field(default_factory=dict)
+    """Seed -> its run, from its start on."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
     """Seed -> its run, when it has ended."""
 
@@ -112,47 +114,50 @@ class RunJob(Job):
         states = [summary.state for summary in self.summaries.values()]
         return states == ["finished"] * len(self.spec.seeds)
 
+    def problems(self, reason: str | None = None) -> list[str]:
+        """Which runs ended without being finished, and why: for this reason, or by their error."""
+        return [
+            ": ".join(filter(None, (f"{run.run} is {run.state}", reason or run.error)))
+            for run in self.summaries.values()
+            if run.state != "finished"
+        ]
+
+    def results(self) -> dict[int, Sequence[Evaluation]]:
+        """Seed -> its tests so far; seeds in the spec's order."""
+        return {seed: self.folders[seed].tests() if seed in self.folders else () for seed in self.spec.seeds}
+
     @override
     def tasks(self) -> Iterator[FolderTask]:
         """The runs that are not finished."""
         for seed in self.spec.seeds:
             found = self.known.get(seed) or self.home.find(self.spec, seed)
             if found is not None and found.state().state == "finished":
-                with suppress(StoreError):  # whoever followed it may have been killed before its last entry
+                with suppress(StoreError):  # a driver that was killed may have left it out
                     index_run(self.home.url, found)
-                self.read_tests(seed, found)
-                self.summaries[seed] = found.summary()
+                self.folders[seed], self.summaries[seed] = found, found.summary()
             else:
                 yield RunTask(self, seed, found)
-
-    def read_tests(self, seed: int, folder: RunFolder) -> None:
-        """Read the tests and the final test in a run's folder."""
-        self.tests[seed] = {test.steps: test for test in folder.tests()}
-        if final := folder.final():
-            self.finals[seed] = final["last"]
-
-    def results(self) -> dict[int, list[Evaluation]]:
-        """Seed -> its tests in order; seeds in the spec's order."""
-        return {seed: [test for _, test in sorted(self.tests.get(seed, {}).items())] for seed in self.spec.seeds}
 
 
 class RunTask(FolderTask):
     """A run that a process executes. Turns what the process writes into the folder into events."""
 
+    job: RunJob
+
     def __init__(self, job: RunJob, seed: int, found: RunFolder | None) -> None:
-        self._job, self._seed, self._found = job, seed, found
+        self.job, self._seed, self._found = job, seed, found
         self._failure: tuple[str | None, str | None] = None, None
 
     @override
     def begin(self) -> Path:
-        job = self._job
+        job = self.job
         folder = self._found = self._folder = self._found or job.home.create(job.spec, self._seed)
         if not folder.path.is_dir():
             raise RunError("the run was removed while it waited", where=folder.id)
         folder.release()
         system.remove(folder.stop, missing_ok=True)  # of an earlier process
         write_json(folder.launch, provenance.software())
-        job.read_tests(self._seed, folder)
+        job.folders[self._seed] = folder
         self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
         self._progress = read_object(folder.progress) or {}
         self._before = folder.state()
@@ -163,28 +168,25 @@ class RunTask(FolderTask):
     def events(self) -> Iterator[RunEvent]:
         launched, self._launched = self._launched, []
         yield from launched
-        job, folder = self._job, self._folder
+        folder = self._folder
         earlier, self._progress = self._progress, read_object(folder.progress) or {}
         happened = self._new_lines("events.jsonl")
         tests = [decode(row) for row in self._new_lines("tests.jsonl")]  # written before these events
         if any(row["event"] in ("started", "resumed") for row in happened):
-            job.read_tests(self._seed, folder)  # a run that does not resume bit for bit has cut some
             yield from self._update_index()
-            yield RunStarted(folder.id, self._seed, job.spec.training.steps, str(folder.path))
+            yield RunStarted(folder.id, self._seed, self.job.spec.training.steps, str(folder.path))
         for name, row in self._progress.items():
             event = from_json(RunAdvanced, row) if name == "RunAdvanced" else from_json(RunBusy, row)
             if event is not None and row != earlier.get(name):
                 yield event
         for result in tests:
             if result is not None:
-                job.tests[self._seed][result.steps] = result
                 yield from self._update_index(result)
                 yield RunTested(folder.id, result)
         for row in happened:
             if row["event"] == "warning":
                 yield RunWarned(folder.id, f"{row['error']} ({row['consequence']})")
-            elif row["event"] == "final_test" and (final := folder.final()):
-                job.finals[self._seed] = final["last"]
+            elif row["event"] == "final_test" and (final := folder.final()) is not None:
                 yield RunFinalTested(folder.id, final)
             elif row["event"] == "failed":
                 self._failure = row["error"], row["traceback"]
@@ -196,7 +198,7 @@ class RunTask(FolderTask):
     def _update_index(self, result: Evaluation | None = None) -> Iterator[RunEvent]:
         """Update the run in the database; a failure is a warning."""
         try:
-            index_run(self._job.home.url, self._folder)
+            index_run(self.job.home.url, self._folder)
         except StoreError as error:
             what = "its folder is complete" if result is None else "the test is in the run folder"
             yield RunWarned(self._folder.id, f"{error} (the run continues; {what})")
@@ -206,12 +208,12 @@ class RunTask(FolderTask):
         """Whether the process brought the run to an end, or did not begin it because the job is halted."""
         state = self._folder.state()
         if state == self._before:
-            return self._job.halted is not None
+            return self.job.halted is not None
         return self._folder.summary().state not in (*UNFINISHED, "lost")
 
     @override
     def end(self, problem: str | None) -> Iterator[RunEvent]:
-        job, folder, (error, traceback) = self._job, self._folder, self._failure
+        job, folder, (error, traceback) = self.job, self._folder, self._failure
         system.remove(folder.stop, missing_ok=True)
         summary = folder.summary()
         if problem is not None and summary.state != "finished":

@@ -17,12 +17,12 @@ from pydantic import model_validator
 from ..core import BuildEnvironment, Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
 from ..errors import RunError
-from .backend import Backend, Group, InProcess
-from .executor import RESET, STEP
+from .executor import RESET, STEP, Group, InProcess
+from .pool import WorkerPool
 from .processes import ProcessPool
 
 EnvironmentIds = Sequence[int] | NDArray[np.int64]
-
+Backend = InProcess | WorkerPool
 
 MAX_ENVIRONMENTS = 65_536
 

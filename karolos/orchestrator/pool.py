@@ -5,9 +5,9 @@ from __future__ import annotations
 import pickle
 from abc import ABC, abstractmethod
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
-from time import monotonic
+from time import monotonic, sleep
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from ..core import Failure, Signature
 from ..errors import KarolosError, MachineError, PluginError, WorkerError
-from .backend import Backend, Group, Ids
-from .executor import RESET, STEP
+from .executor import RESET, STEP, Group, Ids
 from .shared_memory import EnvironmentArrays
 from .worker import DONE, command_message
 
-CLOSE_TIMEOUT = 3.0
-"""Seconds for workers to close their environments before they are killed."""
+CLOSE_TIMEOUT, BUSY_TIMEOUT = 3.0, 0.4
+"""Seconds for workers to close their environments before they are killed, and to answer a command before that."""
 BUILD_TIMEOUT = 300.0
 """Seconds for a worker to build its environments: the first import of a large library may take a minute."""
 CHECK_INTERVAL = 1.0
@@ -30,17 +29,41 @@ MOST_PLANS = 64
 """Sets of environments whose messages are kept. Bounds the memory where episodes end at random."""
 
 
-class Channel:
-    """The connection to a part of a worker's environments. It is ready once they are built and share memory.
+class Worker:
+    """A process of this machine, or an actor of Ray, that runs environments.
 
     Args:
-        connection: a connection of multiprocessing, or an object with its methods.
+        number: of the worker.
+        connections: one for each channel: of multiprocessing, or objects with their methods.
+        ids: the environments of each channel.
+        end: waits this many seconds for a worker whose connections are closed, then kills it. Returns how it ended, and
+            what to do.
     """
 
-    def __init__(self, worker: EnvironmentWorker, connection: Any, ids: range) -> None:
-        self.worker = worker
-        self.connection = connection
-        self.ids = ids
+    def __init__(
+        self, number: int, connections: Sequence[Any], ids: Sequence[range], end: Callable[[float], tuple[str, str]]
+    ) -> None:
+        self.number, self.end = number, end
+        self.channels = [Channel(self, *channel) for channel in zip(connections, ids, strict=True)]
+        self.lost: KarolosError | None = None
+        """Why the worker ended; None while it runs."""
+
+    @property
+    def environments(self) -> Ids:
+        return np.arange(self.channels[0].ids.start, self.channels[-1].ids.stop)
+
+    def error(self, what: str, hint: str) -> WorkerError:
+        """A WorkerError that names the worker and its environments."""
+        ids = self.environments
+        named = f"environments {ids[0]} to {ids[-1]}" if ids.size > 1 else f"environment {ids[0]}"
+        return WorkerError(f"{what}, with {named}", where=f"worker {self.number}", hint=hint)
+
+
+class Channel:
+    """The connection to a part of a worker's environments. It is ready once they are built and share memory."""
+
+    def __init__(self, worker: Worker, connection: Any, ids: range) -> None:
+        self.worker, self.connection, self.ids = worker, connection, ids
         self.ready = False
         self.pending: deque[Group] = deque()
         """The groups of the commands without an answer, oldest first."""
@@ -87,63 +110,31 @@ class Channel:
         return now - self._since
 
 
-class EnvironmentWorker(ABC):
-    """A worker and its channels. A subclass ends workers of its kind.
+class WorkerPool(ABC):
+    """Runs commands on environments in workers.
 
-    Args:
-        number: of the worker.
-        connections: one for each channel.
-        ids: the environments of each channel.
+    Worker i has the channels of `layout[i]`, each with the ids of its environments. A worker that ends, or takes longer
+    than `time_limit` seconds for one command, is a failure of all its environments. The next reset of one of them
+    starts another worker. A worker that ends while it builds its environments for the first time is replaced at once,
+    up to `failures` times.
     """
 
-    def __init__(self, number: int, connections: Sequence[Any], ids: Sequence[range]) -> None:
-        self.number = number
-        self.channels = [Channel(self, *channel) for channel in zip(connections, ids, strict=True)]
-        self.lost: KarolosError | None = None
-        """Why the worker ended; None while it runs."""
-
-    @property
-    def environments(self) -> Ids:
-        return np.arange(self.channels[0].ids.start, self.channels[-1].ids.stop)
-
-    def close_connections(self) -> None:
-        """Close the connections, which makes the worker exit."""
-        for channel in self.channels:
-            channel.connection.close()
-
-    @abstractmethod
-    def end(self, seconds: float) -> tuple[str, str]:
-        """Wait for a worker with closed connections, then kill it. Returns how it ended, and what to do."""
-
-    def error(self, what: str, hint: str) -> WorkerError:
-        """A WorkerError that names the worker and its environments."""
-        ids = self.environments
-        named = f"environments {ids[0]} to {ids[-1]}" if ids.size > 1 else f"environment {ids[0]}"
-        return WorkerError(f"{what}, with {named}", where=f"worker {self.number}", hint=hint)
-
-
-class WorkerPool(Backend):
-    """Runs environments in workers. Worker i has the channels of `layout[i]`, each with the ids of its environments.
-
-    A worker that ends, or takes longer than `time_limit` seconds for one command, is a failure of all its environments.
-    The next reset of one of them starts another worker. A worker that ends while it builds its environments for the
-    first time is replaced at once, up to `failures` times.
-    """
+    signature: Signature
+    arrays: EnvironmentArrays
+    """What environments read and write."""
 
     def __init__(self, layout: Sequence[Sequence[range]], time_limit: float, failures: int) -> None:
         self._layout = layout
-        self._places = [(worker, channel) for worker, ranges in enumerate(layout) for channel in range(len(ranges))]
-        """All pairs of worker and channel."""
         counts = [len(ids) for ranges in layout for ids in ranges]
-        self._place_of = np.repeat(np.arange(len(counts)), counts)
-        """The place in `_places` of each environment."""
+        self._channel_of = np.repeat(np.arange(len(counts)), counts)
+        """The place in `_channels` of each environment's channel."""
         self._size = sum(counts)
         self._time_limit = time_limit
         self._check_interval = min(CHECK_INTERVAL, time_limit / 4)
         self._next_check = monotonic() + self._check_interval
         self._connected = False
         """Whether the signature is known and the arrays are allocated."""
-        self._workers: list[EnvironmentWorker] = []
+        self._workers: list[Worker] = []
         self._any_lost = False
         self._done: list[Group] = []
         self._failures: list[Failure] = []
@@ -158,7 +149,7 @@ class WorkerPool(Backend):
             raise
 
     @abstractmethod
-    def _start(self, number: int) -> EnvironmentWorker:
+    def _start(self, number: int) -> Worker:
         """Start a worker, which builds its environments. Raises MachineError if the machine gives none."""
 
     @abstractmethod
@@ -173,17 +164,26 @@ class WorkerPool(Backend):
     def _readable(self, timeout: float) -> list[Channel]:
         """The channels with a message or an ended connection; waits up to `timeout` seconds for one."""
 
+    def _disconnect(self, worker: Worker) -> None:
+        """Close a worker's connections, which makes it exit."""
+        for channel in worker.channels:
+            channel.connection.close()
+
     def _seconds_allowed(self, channel: Channel) -> float:  # noqa: ARG002  (others depend on it)
         """Seconds until a ready channel must show progress."""
         return self._time_limit
 
+    @property
+    def _channels(self) -> list[Channel]:
+        return [channel for worker in self._workers for channel in worker.channels]
+
     def _wait_until_ready(self, failures: int) -> None:
         """Wait until every environment is built. Raises the error of building one, or of a worker that ends again."""
         losses = [0] * len(self._workers)
-        while not all(channel.ready for worker in self._workers for channel in worker.channels):
+        while not all(channel.ready for channel in self._channels):
             _, failed = self.collect()
             for failure in failed:
-                number, _ = self._places[self._place_of[failure.environment[0]]]
+                number = self._channels[self._channel_of[failure.environment[0]]].worker.number
                 if not failure.lost or losses[number] == failures:
                     raise failure.error
                 losses[number] += 1
@@ -191,6 +191,7 @@ class WorkerPool(Backend):
         self._any_lost = False
 
     def send(self, command: bytes, environments: Group) -> None:
+        """Start a command on idle environments. Does not wait and does not raise."""
         if self._any_lost and command == RESET:
             self._replace(environments.ids)
         key = environments.ids.tobytes()
@@ -207,18 +208,17 @@ class WorkerPool(Backend):
 
     def _plan(self, environments: Ids) -> list[tuple[Channel, Group, dict[bytes, bytes]]]:
         """The channels of these environments, the environments of each, and the message for each command."""
-        places = self._place_of[environments]
-        plan = []
+        places, channels, plan = self._channel_of[environments], self._channels, []
         for place in np.unique(places).tolist():
-            worker, channel = self._places[place]
             ids = environments[places == place]
             messages = {command: command_message(command, ids) for command in (RESET, STEP)}
-            plan.append((self._workers[worker].channels[channel], Group.of(ids), messages))
+            plan.append((channels[place], Group.of(ids), messages))
         return plan
 
     def _replace(self, environments: Ids) -> None:
         """Replace the lost workers of these environments."""
-        for number in sorted({self._places[place][0] for place in self._place_of[environments]}):
+        channels = self._channels
+        for number in sorted({channels[place].worker.number for place in self._channel_of[environments]}):
             if self._workers[number].lost:
                 with suppress(MachineError):  # the worker stays lost, and fails again
                     self._workers[number] = self._start(number)
@@ -226,6 +226,10 @@ class WorkerPool(Backend):
         self._any_lost = any(worker.lost for worker in self._workers)
 
     def collect(self, *, wait: bool = True) -> tuple[list[Group], list[Failure]]:
+        """The environments that have completed their commands since the last call, and those that failed.
+
+        With `wait`, blocks for a limited time until there are some; both may be empty.
+        """
         for channel in self._readable(self._check_interval if wait and not self._failures else 0.0):
             if not channel.worker.lost:  # an earlier channel of this worker may have reported its end
                 self._read(channel)
@@ -271,35 +275,49 @@ class WorkerPool(Backend):
         channel.open()
 
     def _check_for_hangs(self, now: float) -> None:
-        for worker in self._workers:
-            for channel in worker.channels if not worker.lost else []:
-                stalled = channel.stalled_seconds(self.arrays.commands if channel.ready else None, now)
-                if stalled <= (self._seconds_allowed(channel) if channel.ready else BUILD_TIMEOUT):
-                    continue
-                what = f"a reset or step took longer than {self._time_limit:g} s"
-                hint = "or raise orchestrator.time_limit"
-                if not channel.ready:
-                    what = f"building an environment took longer than {BUILD_TIMEOUT:g} s"
-                    hint = "or use fewer environments"
-                self._lose(worker, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
-                break
+        for channel in self._channels:
+            worker = channel.worker
+            if worker.lost:
+                continue
+            stalled = channel.stalled_seconds(self.arrays.commands if channel.ready else None, now)
+            if stalled <= (self._seconds_allowed(channel) if channel.ready else BUILD_TIMEOUT):
+                continue
+            what = f"a reset or step took longer than {self._time_limit:g} s"
+            hint = "or raise orchestrator.time_limit"
+            if not channel.ready:
+                what = f"building an environment took longer than {BUILD_TIMEOUT:g} s"
+                hint = "or use fewer environments"
+            self._lose(worker, worker.error(what, f"find out why it hangs, {hint}"), seconds=0.0)
 
-    def _lose(self, worker: EnvironmentWorker, error: KarolosError | None = None, seconds: float = 1.0) -> None:
+    def _lose(self, worker: Worker, error: KarolosError | None = None, seconds: float = 1.0) -> None:
         """Stop a worker and report the failure of its environments. It has `seconds` to end by itself."""
-        worker.close_connections()
+        self._disconnect(worker)
         how = worker.end(seconds)  # the connection of a process closes shortly before the exit code is available
         worker.lost = error or worker.error(*how)
         self._any_lost = True
         self._failures.append(Failure(worker.environments, worker.lost, lost=error is None))
 
     def close(self) -> None:
+        """End the workers."""
         alive = [worker for worker in self._workers if not worker.lost]
+        hanging = self._hanging()
         for worker in alive:
-            worker.close_connections()
+            self._disconnect(worker)
         deadline = monotonic() + CLOSE_TIMEOUT
         for worker in alive:
-            worker.end(max(0.0, deadline - monotonic()))
+            worker.end(0.0 if worker in hanging else max(0.0, deadline - monotonic()))
         self._workers = []
+
+    def _hanging(self) -> list[Worker]:
+        """The workers that do not answer a command, or are not built, within BUSY_TIMEOUT."""
+        deadline = monotonic() + BUSY_TIMEOUT
+        while busy := [one for one in self._channels if not one.worker.lost and one.busy]:
+            answered = self._readable(0.0)
+            hanging = [channel.worker for channel in busy if channel not in answered]
+            if not hanging or monotonic() >= deadline:
+                return hanging
+            sleep(BUSY_TIMEOUT / 40)
+        return []
 
 
 def _widths(signature: Signature) -> tuple[object, ...]:

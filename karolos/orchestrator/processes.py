@@ -1,17 +1,39 @@
-"""Workers that are processes of this machine and share memory with this one."""
+"""Workers that are processes of this machine, and share memory with this one.
+
+On Linux, workers are forked from a small server process that has imported only what they need. A worker never runs the
+user's main module: a script needs no `if __name__ == "__main__"` guard, and a script that imports torch does not import
+it in the workers.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import io
+import os
+import pickle
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from functools import partial
+from multiprocessing.connection import Connection
+from multiprocessing.process import BaseProcess
+from threading import Lock
+from types import ModuleType
+from typing import Any
 
 from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
-from ..errors import MachineError
-from ..system import Poller, SharedMemory, ended_by
-from .pool import Channel, EnvironmentWorker, WorkerPool
+from ..errors import MachineError, PluginError
+from ..system import Poller, SharedMemory, ended_by, process_context
+from .pool import Channel, Worker, WorkerPool
 from .shared_memory import EnvironmentArrays
-from .start import pack_build, start_worker
+from .worker import work
+
+ONE_THREAD = dict.fromkeys(
+    ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS", "VECLIB_MAXIMUM_THREADS"), "1"
+)
+"""Environment variables of a process whose libraries use one thread, because several processes share the cores."""
+_starting = Lock()
 
 
 class ProcessPool(WorkerPool):
@@ -26,15 +48,19 @@ class ProcessPool(WorkerPool):
         super().__init__(layout, time_limit, failures)
 
     @override
-    def _start(self, number: int) -> EnvironmentWorker:
+    def _start(self, number: int) -> Worker:
         try:
-            return ProcessWorker(number, self._build, self._layout[number], self._size, self._poller)
+            process, connections = start_worker(number, self._build, self._layout[number], self._size)
         except (OSError, EOFError) as error:
             raise MachineError(
                 f"worker process {number} of {len(self._layout)} cannot be started: {error}",
                 setting="orchestrator",
                 hint="use fewer processes, or `processes: 0` to step environments in the main process",
             ) from error
+        worker = Worker(number, connections, self._layout[number], partial(_end, process))
+        for channel in worker.channels:
+            self._poller.add(channel.connection, channel)
+        return worker
 
     @override
     def _allocate(self, signature: Signature) -> EnvironmentArrays:
@@ -51,6 +77,12 @@ class ProcessPool(WorkerPool):
         return self._poller.ready(timeout)
 
     @override
+    def _disconnect(self, worker: Worker) -> None:
+        for channel in worker.channels:
+            self._poller.remove(channel.connection)
+        super()._disconnect(worker)
+
+    @override
     def close(self) -> None:
         super().close()
         if self._memory is not None:
@@ -58,37 +90,14 @@ class ProcessPool(WorkerPool):
             self._memory.close()
 
 
-class ProcessWorker(EnvironmentWorker):
-    """A worker process. Raises OSError or EOFError when the machine gives no process."""
-
-    def __init__(
-        self, number: int, packed_build: bytes, ids: Sequence[range], size: int, poller: Poller[Channel]
-    ) -> None:
-        self.process, connections = start_worker(number, packed_build, ids, size)
-        super().__init__(number, connections, ids)
-        self._poller = poller
-        for channel in self.channels:
-            poller.add(channel.connection, channel)
-
-    @override
-    def close_connections(self) -> None:
-        for channel in self.channels:
-            self._poller.remove(channel.connection)
-        super().close_connections()
-
-    @override
-    def end(self, seconds: float) -> tuple[str, str]:
-        self.process.join(seconds)
-        code = self.process.exitcode
-        if code is None:
-            self.process.kill()
-            self.process.join()
-        self.process.close()  # releases a file descriptor
-        return _cause_of_exit(code)
-
-
-def _cause_of_exit(code: int | None) -> tuple[str, str]:
-    """How a process ended, and what to do, by its exit code."""
+def _end(process: BaseProcess, seconds: float) -> tuple[str, str]:
+    """As `Worker.end`."""
+    process.join(seconds)
+    code = process.exitcode
+    if code is None:
+        process.kill()
+        process.join()
+    process.close()  # releases a file descriptor
     if code is None:
         return "a thread of the worker ended", "see standard error for the cause"
     name = ended_by(code)
@@ -97,3 +106,78 @@ def _cause_of_exit(code: int | None) -> tuple[str, str]:
     if name == "SIGKILL":
         return f"the worker process was killed by {name}", "probably out of memory: use fewer environments"
     return f"the worker process was killed by {name}", "standard error shows the line in native code"
+
+
+class _Modules(pickle.Unpickler):
+    """Records the modules of the classes and functions in a pickle."""
+
+    def __init__(self, data: bytes) -> None:
+        super().__init__(io.BytesIO(data))
+        self.names: set[str] = set()
+        self.load()
+
+    def find_class(self, module: str, name: str) -> Any:
+        self.names.add(module)
+        return super().find_class(module, name)
+
+
+def pack_build(build: BuildEnvironment) -> bytes:
+    """Pickle the function for workers. Raises PluginError if a worker could not import its parts."""
+    hint = "define it in a module, or use `processes: 0` to step environments in the main process"
+    try:
+        data = pickle.dumps(build)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        raise PluginError(f"cannot be sent to a worker process: {error}", setting="environment", hint=hint) from error
+    if "__main__" in _Modules(data).names:
+        raise PluginError(
+            "is defined in the main script, which worker processes do not import", setting="environment", hint=hint
+        )
+    return data
+
+
+def start_worker(
+    number: int, packed_build: bytes, ids: Sequence[range], size: int
+) -> tuple[BaseProcess, list[Connection]]:
+    """Start worker `number` with one thread for each range of ids; returns the process and its connections.
+
+    Raises OSError or EOFError if the machine cannot start a process.
+    """
+    context: Any = process_context()
+    # Only karolos modules that the environments need: others may start threads, which do not survive a fork.
+    needed = sorted(name for name in _Modules(packed_build).names if name.startswith("karolos."))
+    context.set_forkserver_preload([work.__module__, *needed])  # does nothing where there is no such server
+    pairs = [context.Pipe() for _ in ids]
+    theirs = [end for _, end in pairs]
+    process = context.Process(
+        target=work, args=(number, packed_build, list(zip(theirs, ids, strict=True)), size), name=f"worker {number}"
+    )
+    try:
+        with fresh_start():
+            process.start()
+    except BaseException:
+        for end, _ in pairs:
+            end.close()
+        raise
+    finally:
+        for end in theirs:
+            end.close()  # so that the connection ends when the worker does
+    return process, [end for end, _ in pairs]
+
+
+@contextmanager
+def fresh_start() -> Iterator[None]:
+    """Hide the main module from the new process, and set its libraries to one thread."""
+    with _starting:
+        main = sys.modules["__main__"]
+        before = {name: os.environ.get(name) for name in ONE_THREAD}
+        sys.modules["__main__"] = ModuleType("__main__")
+        os.environ.update(ONE_THREAD)
+        try:
+            yield
+        finally:
+            sys.modules["__main__"] = main
+            for name, value in before.items():
+                if value is None:
+                    os.environ.pop(name, None)
+                else:
+                    os.environ[name] = value

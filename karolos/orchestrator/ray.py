@@ -17,12 +17,11 @@ from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
 from ..errors import MachineError
-from .backend import Backend
 from .executor import RESET
 from .local import Limits, Local
-from .pool import Channel, EnvironmentWorker, WorkerPool
+from .pool import Channel, Worker, WorkerPool
+from .processes import pack_build
 from .shared_memory import EnvironmentArrays
-from .start import pack_build
 from .worker import build_environments, environments_in, run_command
 
 CONNECT_TIMEOUT = 10.0
@@ -102,7 +101,7 @@ class Ray(Local):
         )
 
     @override
-    def _start(self, build: BuildEnvironment) -> Backend:
+    def _start(self, build: BuildEnvironment) -> ActorPool:
         settings = self._settings
         return ActorPool(self._ray, pack_build(build), self._layout(), settings.time_limit, settings.failures)
 
@@ -159,10 +158,11 @@ class ActorPool(WorkerPool):
         super().__init__(layout, time_limit, failures)
 
     @override
-    def _start(self, number: int) -> EnvironmentWorker:
+    def _start(self, number: int) -> Worker:
         (ids,) = self._layout[number]
         actor = self._actor.remote(number, sys.path, self._build, ids.start, len(ids))
-        return ActorWorker(number, ActorConnection(self._ray, actor), ids)
+        connection = ActorConnection(self._ray, actor)
+        return Worker(number, [connection], [ids], connection.end)
 
     @override
     def _allocate(self, signature: Signature) -> EnvironmentArrays:
@@ -174,7 +174,7 @@ class ActorPool(WorkerPool):
 
     @override
     def _readable(self, timeout: float) -> list[Channel]:
-        channels = [worker.channels[0] for worker in self._workers if not worker.lost]
+        channels = [channel for channel in self._channels if not channel.worker.lost]
         oldest = {channel.connection.answers[0][0]: channel for channel in channels if channel.connection.answers}
         if not oldest:
             return []
@@ -229,21 +229,12 @@ class ActorConnection:
         if self.ray.is_initialized():
             self.answers.append((self.actor.close.remote(), b""))
 
-
-class ActorWorker(EnvironmentWorker):
-    """An actor of Ray."""
-
-    def __init__(self, number: int, connection: ActorConnection, ids: range) -> None:
-        super().__init__(number, [connection], [ids])
-        self._connection = connection
-
-    @override
     def end(self, seconds: float) -> tuple[str, str]:
-        ray, closing = self._connection.ray, [answer for answer, _ in self._connection.answers]
-        if ray.is_initialized():
-            ray.wait(closing, timeout=seconds)
-            ray.kill(self._connection.actor)
-        return self._connection.cause, "its machine or process was lost"
+        """As `Worker.end`."""
+        if self.ray.is_initialized():
+            self.ray.wait([answer for answer, _ in self.answers], timeout=seconds)
+            self.ray.kill(self.actor)
+        return self.cause, "its machine or process was lost"
 
 
 def _inputs(arrays: EnvironmentArrays, message: bytes) -> NDArray[Any]:

@@ -25,7 +25,7 @@ class EnvironmentArrays:
     action: FloatArray
     parameters: FloatArray
     measures: FloatArray
-    """Of the episode that each environment ended last."""
+    """The measures of the episode that each environment ended last."""
     commands: NDArray[np.uint64]
     """Number of commands that each environment has completed. A hanging environment completes none."""
     step: Step

@@ -75,7 +75,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ids = np.arange(num_envs)
         self._generators = [np_random()[0] for _ in range(num_envs)]
-        """Of the seeds of episodes, one for each environment."""
+        """They draw the seeds of episodes, one for each environment."""
         self._seeds = [0] * num_envs
         self._over: BoolArray | None = None
         """Whose episodes are over and have to be reset; None: all have to be."""

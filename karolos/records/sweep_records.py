@@ -1,4 +1,4 @@
-"""A sweep as frozen values, and reading it from its folder, which `karolos.sweep.folder` writes. Needs no Optuna."""
+"""A sweep as frozen values, and reading it from its folder, which `karolos.plans.sweep` writes. Needs no Optuna."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _DESCRIBED = (
     *("name", "experiment", "created", "asked", "wants_final"),
     *("objectives", "directions", "parameters", "seeds"),
 )
-"""Fields of SweepRecord in sweep.json; its id is there, too."""
+"""Fields of SweepRecord in sweep.json, besides its id."""
 _OF_SWEEP = re.compile(r"(.+)-(?:t\d{3,}|best)")
 """The name of a run of a sweep: of its trial, or of its best trial as a spec."""
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
@@ -102,7 +102,7 @@ class SweepRecord:
     parameters: tuple[str, ...]
     """Key paths of the searched settings."""
     seeds: tuple[int, ...]
-    """Seeds of every trial."""
+    """The seeds of every trial."""
     asked: Count
     """Number of trials it shall have."""
     wants_final: bool
@@ -163,6 +163,28 @@ class SweepRecord:
             "final": self.final.row() if self.final else None,
             "trials": [trial.row() for trial in self.trials],
         }
+
+
+@dataclass(frozen=True)
+class TrialChanged:
+    """An event of a sweep: a trial begins, or goes on after an interruption (its state is running), or has ended."""
+
+    trial: Trial
+    done: int
+    """Number of trials that have ended."""
+    asked: int
+    """Number of trials that the sweep shall have."""
+    best: Trial | None
+    """The best trial so far by the first objective."""
+
+
+@dataclass(frozen=True)
+class FinalBegan:
+    """An event of a sweep: runs of the final phase begin, on seeds that were not used for tuning."""
+
+    trials: tuple[int, ...]
+    seeds: tuple[int, ...]
+    purpose: Literal["choose", "report"]
 
 
 def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ...]:

@@ -64,7 +64,7 @@ def test_resume_of_a_finished_run_says_that_there_is_nothing_to_do(tmp_path: Pat
 def test_a_stopped_run_is_shown_with_the_command_that_continues_it(capsys: pytest.CaptureFixture[str]) -> None:
     stopped = run(0, [10], state="stopped").summary
     with pytest.raises(typer.Exit):
-        report(Outcome((stopped,), 1, 130), Path("runs"), quiet=False, json=False)
+        report(Outcome.of([stopped], 1, 130), Path("runs"), quiet=False, json=False)
     assert "`karolos resume reach-s0` continues it" in capsys.readouterr().err
 
 

@@ -265,18 +265,6 @@ def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_be
     assert checkpoint.read_meta(folder.checkpoints, "best")["steps"] == folder.tests()[1].steps
 
 
-def test_a_database_that_fails_in_the_middle_costs_a_warning_not_the_run(tmp_path, monkeypatch):
-    def locked(*_):
-        raise StoreError("the database is locked")
-
-    monkeypatch.setattr("karolos.store.Store.add_records", locked)
-    outcome = Experiment(spec()).run(tmp_path)
-    assert outcome.runs[0].state == "finished"
-    (folder,) = folders(outcome)
-    assert [event["event"] for event in folder.events()].count("warning") == 5
-    assert len(folder.tests()) == 3
-
-
 def test_a_full_disk_under_the_test_results_fails_the_run(tmp_path, monkeypatch):
     def full(*_):
         raise MachineError("no space left on the disk")

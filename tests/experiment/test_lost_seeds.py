@@ -14,7 +14,6 @@ from support.toy_runs import TOY
 from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
 from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder
 from karolos.store import Store, check, reindex
 
 SCRIPT = """
@@ -64,71 +63,59 @@ def test_a_script_that_runs_seeds_side_by_side_needs_no_guard(tmp_path: Path) ->
     assert len(list((tmp_path / "runs").glob("toy-*"))) == 2
 
 
-def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning(tmp_path: Path) -> None:
-    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
-    warnings, started = [], []
+class Outage:
+    """A listener that takes the database away, and gives it back. It keeps the warnings."""
 
-    def listen(event: object) -> None:
-        if isinstance(event, RunStarted):
-            started.append(event.run)
-        if isinstance(event, RunEnded) and len(started) == 1:
-            file.rename(aside)
-            file.mkdir()
+    def __init__(self, runs: Path) -> None:
+        self.file, self.aside = runs / "karolos.sqlite", runs / "aside"
+        self.warned: list[str] = []
+        """The runs with a warning."""
+        self.ended: list[RunEnded] = []
+
+    def begin(self) -> None:
+        self.file.rename(self.aside)
+        self.file.mkdir()
+
+    def end(self) -> None:
+        self.file.rmdir()
+        self.aside.rename(self.file)
+
+    def __call__(self, event: object) -> None:
         if isinstance(event, RunWarned):
-            warnings.append(event)
-        if isinstance(event, RunEnded) and len(started) == 2:
-            file.rmdir()
-            aside.rename(file)
-
-    outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, listener=listen)
-    assert outcome.exit_code == 0
-    assert {event.run for event in warnings} == {started[1]}
-    assert "the run continues; its folder is complete" in warnings[0].warning
-    with Store(Store.default_url(tmp_path)) as store:
-        assert {run.run for run in store.runs()} == {started[0], started[2]}
-        assert [found.run for found in check(store, tmp_path)] == [started[1]]
-    assert RunFolder.open(tmp_path / started[1]).record().problems == ()
-
-
-def test_an_outage_of_the_database_costs_no_seed_of_several_at_a_time(tmp_path: Path) -> None:
-    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
-    warnings, ended = [], []
-
-    def listen(event: object) -> None:
-        if isinstance(event, RunStarted) and not aside.exists() and not ended:
-            file.rename(aside)
-            file.mkdir()
-        if isinstance(event, RunWarned):
-            warnings.append(event.warning)
+            assert "its folder is complete" in event.warning
+            self.warned.append(event.run)
         if isinstance(event, RunEnded):
-            ended.append(event)
-            if len(ended) == 2:
-                file.rmdir()
-                aside.rename(file)
+            self.ended.append(event)
+            if len(self.ended) == 1:
+                self.begin()
+            if len(self.ended) == 2:
+                self.end()
 
-    outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=2, listener=listen)
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(jobs: int, tmp_path: Path) -> None:
+    outage = Outage(tmp_path)
+    outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=jobs, listener=outage)
     assert outcome.exit_code == 0
-    assert [event.state for event in ended] == ["finished"] * 3
-    assert any("its folder is complete" in warning for warning in warnings)
+    assert [event.state for event in outage.ended] == ["finished"] * 3
+    assert outage.ended[1].run in outage.warned
     with Store(Store.default_url(tmp_path)) as store:
-        assert ended[2].run in {run.run for run in store.runs()}
+        assert outage.ended[2].run in {run.run for run in store.runs()}
+        if jobs == 1:
+            assert [found.run for found in check(store, tmp_path)] == [outage.ended[1].run]
         assert reindex(store, tmp_path).problems == ()
         assert list(check(store, tmp_path)) == []
         assert sorted(run.seed for run in store.runs()) == [0, 1, 2]
 
 
 def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) -> None:
-    file, aside = tmp_path / "karolos.sqlite", tmp_path / "aside"
-    calls = []
+    outage = Outage(tmp_path)
 
     def listen(event: object) -> None:
         if isinstance(event, RunStarted):
-            file.rename(aside)
-            file.mkdir()
-        if isinstance(event, RunAdvanced) and not calls:
-            calls.append(event)
-            file.rmdir()
-            aside.rename(file)
+            outage.begin()
+        if isinstance(event, RunAdvanced) and outage.aside.exists():
+            outage.end()
 
     outcome = Experiment(TOY).run(tmp_path, listener=listen)
     with Store(Store.default_url(tmp_path)) as store:

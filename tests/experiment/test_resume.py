@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shutil
 import signal
 import sqlite3
@@ -346,6 +347,10 @@ def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_pat
     left = [test.steps for test in done.tests()]
     assert left[: len(kept)] == kept
     assert steps + 1 not in left
+    assert [event["bit_exact"] for event in done.events() if event["event"] == "resumed"] == [False]
+    rows = [json.loads(line) for line in (done.path / "episodes.jsonl").read_text().splitlines()]
+    episodes = [(row["environment"], row["index"]) for row in rows]
+    assert len(set(episodes)) == len(episodes) >= 240 // 20
     with Store(Store.default_url(tmp_path)) as store:
         assert [test.steps for test in stored(store, done.id).tests] == left
 

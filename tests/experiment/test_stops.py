@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support import hostile
 from support.states import assert_same_runs
 
 from karolos.experiment import events
@@ -143,6 +144,24 @@ def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
     resumed = run(tmp_path, existing="resume")
     assert resumed.state().state == "finished"
     assert [test.steps for test in resumed.tests()] == [60]
+
+
+@pytest.mark.parametrize(("processes", "seeds", "jobs"), [(0, [0], 1), (1, [0], 1), (1, [0, 1], 2)])
+def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], jobs: int, tmp_path: Path) -> None:
+    asked: list[float] = []
+
+    def ask(event: object) -> None:
+        if isinstance(event, RunAdvanced) and not asked:
+            asked.append(time.monotonic() + 1.0)
+            threading.Timer(1.0, terminate).start()
+
+    spec = hostile.spec("late step:hang", processes)
+    spec["orchestrator"]["time_limit"] = 60.0
+    outcome = Experiment(spec | {"seeds": seeds}).run(tmp_path, listener=ask, jobs=jobs, check=False)
+    assert time.monotonic() - asked[0] < 20.0  # on a busy machine; alone within two
+    assert outcome.exit_code == 143
+    assert {run.state for run in outcome.runs} == {"stopped"}
+    assert {RunFolder.open(run.folder).events()[-1]["reason"] for run in outcome.runs} == {"SIGTERM, at once"}
 
 
 @pytest.mark.parametrize(

@@ -12,15 +12,16 @@ from typing import Any
 import pytest
 from support import toy_runs
 from support.fake_launcher import FakeLauncher
+from support.toy_runs import created
 
 from karolos.experiment.events import RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import StopRequest
 from karolos.files import write_json
-from karolos.launchers.driver import Driver, Feed
+from karolos.launchers.driver import Driver
 from karolos.launchers.experiment import Experiment
 from karolos.launchers.process import execute_folder
 from karolos.launchers.runs import Existing, Home, RunJob
-from karolos.records import RunFolder, provenance
+from karolos.records import provenance
 from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store, check
 
@@ -31,19 +32,13 @@ def toy(**changes: Any) -> Spec:
     return spec_from_dict(TOY | changes)
 
 
-def new_run(runs: Path, seed: int = 0) -> RunFolder:
-    folder = Home(runs, "").create(toy(), seed)
-    folder.release()
-    return folder
-
-
 def drive(
     runs: Path, launcher: FakeLauncher, *, existing: Existing = "ignore", retries: int = 0, **job: Any
 ) -> tuple[RunJob, list[RunEvent]]:
     """The job, executed; and what the listener heard."""
     events: list[RunEvent] = []
     done = RunJob(job.pop("spec", toy()), Home(runs, Store.default_url(runs), existing), **job)
-    Driver(launcher, events.append, StopRequest(), retries).run(Feed(done))
+    Driver(launcher, events.append, StopRequest(), retries).run([done])
     return done, events
 
 
@@ -97,7 +92,7 @@ def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tm
 
 
 def test_a_run_that_is_removed_while_it_waits_is_lost_and_the_other_seeds_go_on(tmp_path: Path) -> None:
-    removed = new_run(tmp_path)
+    removed = created(TOY, tmp_path)
 
     class Removing(FakeLauncher):
         def room(self, waiting: int) -> int:
@@ -119,7 +114,7 @@ def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_pat
 @pytest.fixture
 def stopped(tmp_path: Path) -> Path:
     """A runs folder with a run that was stopped."""
-    folder = new_run(tmp_path)
+    folder = created(TOY, tmp_path)
     folder.set_state("stopped")
     folder.event("stopped", steps=0, reason="SIGUSR1")
     return tmp_path
@@ -150,7 +145,7 @@ def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
 @pytest.mark.parametrize(("existing", "started"), [("ignore", 2), ("skip", 1), ("resume", 1)])
 def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, started: int) -> None:
     drive(tmp_path, FakeLauncher())
-    new_run(tmp_path, 1)  # its process never started
+    created(TOY, tmp_path, 1)  # its process never started
     launcher = FakeLauncher()
     job, _ = drive(tmp_path, launcher, existing=existing, spec=toy(seeds=[0, 1]))
     assert len(launcher.started) == started
@@ -159,21 +154,21 @@ def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, sta
 
 
 def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path: Path) -> None:
-    folder = new_run(tmp_path)
+    folder = created(TOY, tmp_path)
     folder.stop.write_text("pruned")
     assert execute_folder(folder.path, 1) is None
     assert (folder.state().state, folder.events()) == ("created", ())
 
 
 def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
-    folder = new_run(tmp_path)
+    folder = created(TOY, tmp_path)
     (folder.path / "resolved.json").unlink()
     assert "resolved.json" in str(execute_folder(folder.path, 1))
     assert "not a run folder" in str(execute_folder(tmp_path / "missing", 1))
 
 
 def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: Path) -> None:
-    folder = new_run(tmp_path)
+    folder = created(TOY, tmp_path)
     launch = provenance.software()
     write_json(folder.launch, launch | {"versions": launch["versions"] | {"torch": "1.0"}})
     assert "torch is " in (problem := str(execute_folder(folder.path, 1)))
@@ -186,7 +181,7 @@ def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: P
 
 
 def test_only_what_is_new_and_whole_is_told(tmp_path: Path) -> None:
-    folder = new_run(tmp_path)
+    folder = created(TOY, tmp_path)
     folder.event("warning", error="old", consequence="none")
     [task] = RunJob(toy(), Home(tmp_path, Store.default_url(tmp_path), "resume")).tasks()
     task.begin()

@@ -10,14 +10,12 @@ from pathlib import Path
 
 import pytest
 from support.processes import child_processes, wait_for
-from support.toy_runs import toy
+from support.toy_runs import created, toy
 
 from karolos.errors import MachineError
 from karolos.launchers.interface import COMMAND
 from karolos.launchers.local import LocalLauncher
-from karolos.launchers.runs import Home
 from karolos.records import RunFolder
-from karolos.specification import spec_from_dict
 
 SECONDS = 60.0
 DRIVER = """
@@ -35,10 +33,7 @@ time.sleep(600)
 
 
 def new_run(runs: Path, seed: int = 0, steps: int = 40) -> RunFolder:
-    spec = spec_from_dict(toy(training={"steps": steps}, testing={"interval": 20}))
-    folder = Home(runs, "").create(spec, seed)
-    folder.release()
-    return folder
+    return created(toy(training={"steps": steps}, testing={"interval": 20}), runs, seed)
 
 
 def prepare(launcher: LocalLauncher) -> None:

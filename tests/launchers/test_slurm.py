@@ -12,14 +12,12 @@ from pathlib import Path
 import pytest
 from support import fake_slurm
 from support.processes import wait_for
-from support.toy_runs import toy
+from support.toy_runs import created, toy
 
 from karolos.errors import MachineError
 from karolos.launchers.experiment import Experiment
-from karolos.launchers.runs import Home
 from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
-from karolos.specification import spec_from_dict
 
 TOY = toy(seeds=[0, 1], training={"steps": 1200}, testing={"interval": 100})
 SHORT = toy(training={"steps": 200}, testing={"interval": 100})
@@ -74,9 +72,7 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
 
 
 def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Path) -> None:
-    spec = spec_from_dict(TOY | {"training": TOY["training"] | {"steps": 10**6}})
-    folder = Home(tmp_path / "runs", "").create(spec, 0)
-    folder.release()
+    folder = created(TOY | {"training": TOY["training"] | {"steps": 10**6}}, tmp_path / "runs")
     first, second = SlurmLauncher(SlurmLauncher.Settings()), SlurmLauncher(SlurmLauncher.Settings())
     first.start(folder.path)
     assert first.wait(0.1) is None

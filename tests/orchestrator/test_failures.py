@@ -7,9 +7,8 @@ import re
 import signal
 import threading
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
-from time import sleep
+from time import monotonic, sleep
 
 import numpy as np
 import pytest
@@ -35,9 +34,8 @@ from support.fake_environments import (
 from support.layouts import IN_PROCESS, ONE, THREADS, TWO, every_layout, make, reset, step
 from support.processes import kill_worker, wait_until_gone
 
-from karolos.environments.toy import Toy
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
-from karolos.orchestrator import pool, processes, start
+from karolos.orchestrator import pool, processes
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.worker import build_environments
 
@@ -120,22 +118,6 @@ def test_a_failure_leaves_later_commands_of_the_same_worker_pending(layout):
 
 
 @every_layout
-def test_each_failure_is_reported_once(layout):
-    with make(layout) as orchestrator:
-        reset(orchestrator)
-        step(orchestrator, RAISE, FINE, FINE, COMPLAIN)
-        with pytest.raises(KarolosError):
-            orchestrator.receive()
-        received: list[int] = []
-        while not received:  # the second error comes along with the first, or after it from another worker
-            try:
-                received = orchestrator.receive().environment.tolist()
-            except KarolosError:
-                continue
-        assert received == [1, 2]
-
-
-@every_layout
 @pytest.mark.parametrize("recipe", ["raise", "complain"])
 def test_an_environment_that_cannot_be_built_says_why(layout, recipe):
     with pytest.raises(WorkerError if recipe == "raise" else PluginError) as caught:
@@ -193,12 +175,13 @@ def test_one_death_is_a_failure_of_all_threads_of_the_worker():
 
 
 @pytest.mark.parametrize("layout", [ONE, TWO, THREADS], ids=["1", "2", "threads"])
-def test_close_ends_every_worker_also_those_that_hang(layout, monkeypatch):
-    monkeypatch.setattr(pool, "CLOSE_TIMEOUT", 0.2)
+def test_close_ends_every_worker_and_waits_for_none_that_hangs(layout):
     orchestrator = make(layout)
     pids = reset(orchestrator)
     step(orchestrator, HANG)
+    started = monotonic()
     orchestrator.close()
+    assert monotonic() - started < pool.CLOSE_TIMEOUT / 2
     wait_until_gone(*pids)
     assert not multiprocessing.active_children()
 
@@ -240,7 +223,7 @@ def test_a_recipe_that_workers_cannot_import_is_refused(monkeypatch):
     with pytest.raises(PluginError, match="cannot be sent to a worker process"):
         Local(Local.Settings(), lambda: Fake(""))
     monkeypatch.setattr(fake_environments.Fake, "__module__", "__main__")
-    monkeypatch.setattr(start.sys.modules["__main__"], "Fake", Fake, raising=False)
+    monkeypatch.setattr(processes.sys.modules["__main__"], "Fake", Fake, raising=False)
     with pytest.raises(PluginError, match="defined in the main script"):
         make(ONE)
 
@@ -345,27 +328,16 @@ def test_building_for_ever_is_a_clear_error(monkeypatch):
         make(ONE, "hang", time_limit=0.4)
 
 
-def test_what_fails_again_and_again_ends_by_the_limit():
-    with make(TWO, failures=2) as orchestrator:
-        for _ in range(2):
+def test_what_fails_again_and_again_ends_by_the_limit_and_an_episode_that_ends_resets_the_count():
+    with make(TWO, failures=1) as orchestrator:
+        for trouble in (RAISE, END, RAISE):
             reset(orchestrator)
-            step(orchestrator, RAISE)
-            assert orchestrator.receive().failed.tolist() == [0]
+            step(orchestrator, trouble)
+            assert orchestrator.receive().failed.tolist() == ([0] if trouble == RAISE else [])
         reset(orchestrator)
         step(orchestrator, RAISE)
         with pytest.raises(WorkerError, match="ZeroDivisionError: the inertia is zero"):
             orchestrator.receive()
-
-
-def test_an_episode_that_ends_makes_the_count_begin_anew():
-    with make(TWO, failures=1) as orchestrator:
-        for _ in range(3):
-            reset(orchestrator)
-            step(orchestrator, RAISE)
-            assert orchestrator.receive().failed.tolist() == [0]
-            reset(orchestrator)
-            step(orchestrator, END)
-            assert orchestrator.receive().step.truncated.tolist() == [True]
 
 
 def test_a_replacement_that_does_not_build_is_a_failure_too(tmp_path, monkeypatch):
@@ -399,22 +371,3 @@ def test_a_worker_killed_while_it_builds_its_first_environments_is_replaced_with
     with make(ONE, "slow", failures=2) as orchestrator:
         reset(orchestrator)
         assert len(killed) == 2
-
-
-def test_episodes_after_a_replacement_are_what_they_would_have_been():
-    settings = Toy.Settings(dimensions=3, max_steps=5, reward="dense", threshold=0.3)
-    played = []
-    for kill in (False, True):
-        with Local(Local.Settings(processes=2, environments=2, failures=1), partial(Toy, settings)) as orchestrator:
-            orchestrator.reset(range(4), range(4))
-            orchestrator.receive()
-            if kill:
-                kill_worker(0)
-                orchestrator.step([0], np.zeros((1, 3), np.float32))
-                assert orchestrator.receive().failed.tolist() == [0, 1]
-            orchestrator.reset(range(4), range(4))
-            orchestrator.receive()
-            orchestrator.step(range(4), np.full((4, 3), 0.5, np.float32))
-            played.append(orchestrator.receive().step)
-    for ours, theirs in zip(*played, strict=True):
-        np.testing.assert_array_equal(ours, theirs)

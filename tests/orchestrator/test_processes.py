@@ -15,7 +15,7 @@ sys.path.insert(0, {str(TESTS)!r})
 import numpy as np
 from functools import partial
 from support.fake_environments import FINE, HANG, PRINT, Fake
-from karolos.orchestrator import start
+from karolos.orchestrator import processes as start
 from karolos.orchestrator.local import Local
 MARK_OF_THE_USERS_SCRIPT = True
 

@@ -6,7 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from karolos.launchers.experiment import Experiment
+from karolos.launchers.runs import Home
 from karolos.records import RunFolder
+from karolos.specification import spec_from_dict
 
 TOY: dict[str, Any] = {
     "name": "toy",
@@ -39,3 +41,10 @@ def run_of(spec: dict[str, Any], runs: Path, **options: Any) -> RunFolder:
     """Run a spec of one seed."""
     (summary,) = Experiment(spec).run(runs, check=False, **options).runs
     return RunFolder.open(summary.folder)
+
+
+def created(spec: dict[str, Any], runs: Path, seed: int = 0) -> RunFolder:
+    """The folder of a run that waits for its process."""
+    folder = Home(runs, "").create(spec_from_dict(spec), seed)
+    folder.release()
+    return folder

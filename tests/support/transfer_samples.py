@@ -7,8 +7,9 @@ from typing import Any
 
 import pytest
 
+from karolos.launchers.experiment import Outcome
+from karolos.plans.matrix import Matrix
 from karolos.specification import Spec, spec_from_dict
-from karolos.transfer.matrix import Matrix, MatrixRuns
 from support.fake_launcher import FakeLauncher
 
 LINE: dict[str, Any] = {
@@ -34,11 +35,11 @@ def line(*overrides: str) -> Spec:
 
 def run_matrix(
     runs: Path, *overrides: str, resume: bool = False, launcher: FakeLauncher | None = None
-) -> tuple[MatrixRuns, list[str]]:
+) -> tuple[Matrix, Outcome, list[str]]:
     """The matrix executed in this process; also the names of the runs, and of tests in brackets, that were started."""
-    launcher = launcher or FakeLauncher()
+    launcher, matrix = launcher or FakeLauncher(), Matrix(line(*overrides))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("karolos.launchers.driver.make_launcher", lambda *_: launcher)
-        found = Matrix(line(*overrides)).run(runs, resume=resume)
+        patch.setattr("karolos.plans.plan.make_launcher", lambda *_: launcher)
+        outcome = matrix.run(runs, existing="resume" if resume else "ignore")
     names = [(folder.name.rpartition("-s")[0], folder.parent.name == "tests") for folder in launcher.started]
-    return found, [f"({name})" if is_test else name for name, is_test in names]
+    return matrix, outcome, [f"({name})" if is_test else name for name, is_test in names]

@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 import typer
 import yaml
-from karolos_cli.suite import suite
+from karolos_cli.plans import suite
 from support.commands import call
 from support.compared_runs import contender
 from support.fake_launcher import FakeLauncher
@@ -22,14 +22,13 @@ from support.transfer_samples import LINE
 
 from karolos.comparison import compare
 from karolos.comparison.scores import reaching
-from karolos.comparison.suite import Entry, SuiteReport, suite_report
 from karolos.errors import KarolosError, SpecError
 from karolos.experiment.events import RunStarted
-from karolos.launchers import suite as training
-from karolos.launchers.runs import Home, RunJob
-from karolos.launchers.suite import SuiteRuns
+from karolos.launchers.runs import Home
+from karolos.plans import suite as training
+from karolos.plans.suite import SuiteJob, SuitePlan
+from karolos.plans.suite_report import Entry, SuiteReport, suite_report, verdict
 from karolos.records import RunFolder, scan
-from karolos.report.suite import verdict
 from karolos.specification import load_spec, spec_from_dict
 from karolos.specification.suite import load_suite
 
@@ -54,7 +53,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def trained(monkeypatch: pytest.MonkeyPatch, *options: str) -> tuple[list[dict[str, Any]], list[str]]:
     """The rows of the suite executed in this process, and the names of the runs that were started."""
     launcher = FakeLauncher()
-    monkeypatch.setattr("karolos.launchers.driver.make_launcher", lambda *_: launcher)
+    monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: launcher)
     code, out, err = call(app, *COMMAND, *options)
     assert code == 0, err
     return [json.loads(row) for row in out.splitlines()], [path.name.partition("-")[0] for path in launcher.started]
@@ -137,7 +136,6 @@ def test_what_an_agent_cannot_use_is_left_out_and_named(
     assert [spec.name for spec in found.specs] == left
     for words in said:
         assert words in "\n".join(found.notes)
-    assert SuiteRuns(found, []).exit_code == bool(found.refused)
     with pytest.raises(KarolosError, match="takes 7 continuous numbers"):
         training.fitted(load_suite("all_tasks", ["agent=dqn", "buffer.hindsight.imitate=true"]))
 
@@ -173,7 +171,9 @@ def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_se
 
 def test_a_spec_whose_runs_have_no_test_is_named(folder: Path) -> None:
     found = load_suite("mine.yaml")
-    report = suite_report(SuiteRuns(found, [RunJob(spec, Home(folder, "", "resume")) for spec in found.specs]), "mine")
+    plan = SuitePlan(found)
+    plan.found = [SuiteJob(spec, Home(folder, "", "resume")) for spec in found.specs]
+    report = suite_report(plan)
     assert report.untested == ("fast", "slow")
     assert report.warnings == ("no test yet (fast, slow)",)
     assert "Without a test: fast, slow." in verdict(report)
@@ -186,25 +186,37 @@ def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
     monkeypatch.setattr(training, "monotonic", lambda: now)
     line = {**LINE, "seeds": [0]}
     jobs = [
-        RunJob(spec_from_dict({**line, "name": name}, [f"training.steps={steps}"]), Home(tmp_path, "", "resume"))
+        SuiteJob(spec_from_dict({**line, "name": name}, [f"training.steps={steps}"]), Home(tmp_path, "", "resume"))
         for name, steps in (("short", 100), ("long", 300), ("last", 100))
     ]
-    told = training.without_test(jobs, 49.0, 1) or ""
-    assert told.startswith("the share of the budget ends before the first test of short, last; at 330 steps per second")
-    assert "--budget 1m is enough" in told
-    assert training.without_test(jobs, 60.0, 1) is None
-    shares = training.Shares(jobs, 100.0, 1)
+    late, enough = training.too_short(jobs, 49.0, 1)
+    assert late == ["short", "last"]
+    assert enough == "at 330 steps per second, --budget 1m is enough"
+    assert training.too_short(jobs, 60.0, 1)[0] == []
+    budget = training.Budget(100.0, 1, jobs)
+    short, long, last = jobs
+    for job in jobs:
+        job.budget = budget
+        budget.wait(job, None)
     event = RunStarted("run", 0, 100, "folder")
-    assert shares.heard(jobs[0], event) is None
+    assert short.heard(event) is None
     now = 4.0  # of 20
-    shares.ended(jobs[0])
-    assert shares.heard(jobs[1], event) is None
+    short.ended()
+    assert long.heard(event) is None
     now = 4.0 + 96.0 * 300 / 400
-    assert shares.heard(jobs[1], event) is None
+    assert long.heard(event) is None
     now += 0.1
-    assert shares.heard(jobs[1], event) == "cut after 72 s, its share of the budget"
-    shares.ended(jobs[1])
-    assert shares.heard(jobs[2], event) is None
+    assert long.heard(event) == "cut after 72 s, its share of the budget"
+    long.ended()
+    assert last.heard(event) is None
     now = 100.1
-    assert shares.heard(jobs[2], event) is not None
-    assert list(shares.cut) == ["long", "last"]
+    assert last.heard(event) is not None
+    assert [job.spec.name for job in jobs if job.cut] == ["long", "last"]
+
+
+def test_a_budget_that_no_first_test_fits_into_is_refused_with_one_that_is_enough(folder: Path) -> None:
+    code, out, err = call(app, "mine.yaml", "--budget", "5s")
+    assert (code, out) == (2, "")
+    said = "--budget: the share of the budget ends before the first test of fast, slow; at 330 steps per second"
+    assert said in err
+    assert not list(Path("runs").glob("*/run.json"))

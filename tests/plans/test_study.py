@@ -9,10 +9,10 @@ from support import run_samples
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.errors import UsageError
+from karolos.plans.objectives import directions, measure, nominal_steps, so_far
+from karolos.plans.study import STARTUP_TRIALS, Study
 from karolos.records.evaluation import Evaluation
 from karolos.specification import spec_from_dict
-from karolos.sweep.objectives import directions, measure, nominal_steps, so_far
-from karolos.sweep.study import STARTUP_TRIALS, Study
 from karolos.training.assembly import check_parts
 
 CONDITIONAL = {

@@ -43,7 +43,9 @@ def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, Evalu
 
 def measure_all(objectives: Sequence[str], job: RunJob) -> tuple[float, ...]:
     """The value of each objective for a job's finished runs, as `measure`."""
-    return tuple(measure(name, job.results(), job.spec.training.steps, job.finals) for name in objectives)
+    results = job.results()
+    finals = {seed: final["last"] for seed in results if (final := job.folders[seed].final())}
+    return tuple(measure(name, results, job.spec.training.steps, finals) for name in objectives)
 
 
 def _of_run(objective: str, tests: Sequence[Evaluation], steps: int, final: Evaluation | None) -> float:

@@ -15,19 +15,19 @@ from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.errors import RunError, SpecError, UsageError
 from karolos.launchers.interface import STOP
+from karolos.plans.matrix import Matrix
+from karolos.plans.matrix_report import transfer_report
 from karolos.records import RunFolder, provenance
 from karolos.records.run_folder import TRANSFERS
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check
-from karolos.transfer.matrix import Matrix, MatrixRuns
-from karolos.transfer.results import transfer_report
 
 pytestmark = pytest.mark.xdist_group("transfer")
 
 TIMES = ("seconds", "source_runs", "fine_tuned_runs", "runs")
 
 
-def numbers(found: MatrixRuns) -> list[object]:
+def numbers(found: Matrix) -> list[object]:
     """The rows of the report without times and ids of runs."""
 
     def plain(value: object) -> object:
@@ -38,8 +38,7 @@ def numbers(found: MatrixRuns) -> list[object]:
     return [plain(row) for row in transfer_report(found).rows()]
 
 
-def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_policy(undisturbed: MatrixRuns) -> None:
-    assert undisturbed.exit_code == 0
+def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_policy(undisturbed: Matrix) -> None:
     sources, tuned = undisturbed.sources, undisturbed.fine_tuned
     assert {label: list(runs) for label, runs in sources.items()} == {"fast": [0, 1], "slow": [0, 1]}
     assert {pair: list(runs) for pair, runs in tuned.items()} == {("fast", "slow"): [0, 1], ("slow", "fast"): [0, 1]}
@@ -57,17 +56,17 @@ def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_po
         assert list(check(store, runs_folder)) == []
 
 
-def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: MatrixRuns) -> None:
+def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: Matrix) -> None:
     folder, found = undisturbed.sources["fast"][1], undisturbed.zero_shot["fast", "slow"][1]
     assert folder.transfers().rows == (found,)
     assert (found.overrides, found.checkpoint, found.seed) == (("environment.speed=0.15",), "best", 1_000_000)
 
 
-def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: MatrixRuns) -> None:
+def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: Matrix) -> None:
     runs = undisturbed.folder.parents[1]
     with pytest.raises(UsageError, match=r"matrix line has begun: 4 of 4 sources are finished; --resume continues"):
         run_matrix(runs)
-    again, started = run_matrix(runs, resume=True)
+    again, _, started = run_matrix(runs, resume=True)
     assert started == []
     assert len(again.sources["fast"][0].transfers().rows) == 1
     assert len((again.folder / "baselines.jsonl").read_text().splitlines()) == 2
@@ -75,21 +74,21 @@ def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed
 
 
 def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(
-    undisturbed: MatrixRuns, tmp_path: Path
+    undisturbed: Matrix, tmp_path: Path
 ) -> None:
     runs = tmp_path / "runs"
     shutil.copytree(undisturbed.folder.parents[1], runs)
     source = RunFolder.open(runs / undisturbed.sources["fast"][0].id)
     other = source.path.rename(source.path.with_name(source.path.name.replace("line-fast", "other")))
     (other / "run.json").write_text((other / "run.json").read_text().replace('"line-fast', '"other'))
-    found, started = run_matrix(runs, resume=True)
+    found, outcome, started = run_matrix(runs, resume=True)
     assert found.sources["fast"][0].id == other.name
     assert found.sources["fast"][1].id == undisturbed.sources["fast"][1].id
-    assert (found.exit_code, started) == (0, [])
+    assert (outcome.exit_code, started) == (0, [])
 
 
 def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(
-    undisturbed: MatrixRuns, tmp_path: Path
+    undisturbed: Matrix, tmp_path: Path
 ) -> None:
     code = "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
     killed_when(
@@ -98,42 +97,42 @@ def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one
         cwd=tmp_path,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
     )
-    found, started = run_matrix(tmp_path / "runs", resume=True)
+    found, _, started = run_matrix(tmp_path / "runs", resume=True)
     assert started in (["line-fast-to-slow", *["line-slow-to-fast"] * 2], ["line-slow-to-fast"] * 2)
     assert numbers(found) == numbers(undisturbed)
     assert len(list((tmp_path / "runs").glob("*/run.json"))) == 8
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_test_whose_process_died_is_played_again_once(undisturbed: MatrixRuns, tmp_path: Path, blind: bool) -> None:
+def test_a_test_whose_process_died_is_played_again_once(undisturbed: Matrix, tmp_path: Path, blind: bool) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     for seed in (0, 1):
         (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / TRANSFERS).unlink()
     launcher = FakeLauncher(True, True, False, blind=blind)
-    found, started = run_matrix(runs, resume=True, launcher=launcher)
+    found, outcome, started = run_matrix(runs, resume=True, launcher=launcher)
     assert started == ["(line-fast-to-slow)"] * 3
     assert [folder.name for folder in launcher.started] == [f"line-fast-to-slow-s{seed}" for seed in (0, 0, 1)]
     assert found.problems == ["the test of fast to slow, seed 0: its process died, 2 times"]
-    assert (list(found.zero_shot["fast", "slow"]), found.exit_code) == ([1], 1)
+    assert (list(found.zero_shot["fast", "slow"]), outcome.exit_code) == ([1], 1)
     assert not (found.folder / "tests").exists()
-    found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=blind))
-    assert (started, found.exit_code) == (["(line-fast-to-slow)"], 0)
+    found, outcome, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=blind))
+    assert (started, outcome.exit_code) == (["(line-fast-to-slow)"], 0)
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_test_that_cannot_be_played_says_why(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+def test_a_test_that_cannot_be_played_says_why(undisturbed: Matrix, tmp_path: Path) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / TRANSFERS).unlink()
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "sources": {"karolos": "0"}})
-        found, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
+        found, _, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
     assert started == ["(line-slow-to-fast)"]
     (problem,) = found.problems
     assert problem.startswith("the test of slow to fast, seed 0: ")
     assert "the source of karolos is another one" in problem
 
 
-def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: Matrix, tmp_path: Path) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     results = [RunFolder.open(runs / one.id).path / TRANSFERS for one in undisturbed.sources["fast"].values()]
     for path in results:
@@ -145,14 +144,14 @@ def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: MatrixRuns,
             super().start(folder)
             os.kill(os.getpid(), signal.SIGTERM)
 
-    found, started = run_matrix(runs, resume=True, launcher=Stopping())
-    assert (started, found.exit_code, found.problems) == (["(line-fast-to-slow)"], 143, [])
+    found, outcome, started = run_matrix(runs, resume=True, launcher=Stopping())
+    assert (started, outcome.exit_code, found.problems) == (["(line-fast-to-slow)"], 143, [])
     assert not any(path.exists() for path in results)
-    found, _ = run_matrix(runs, resume=True)
+    found, _, _ = run_matrix(runs, resume=True)
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed: MatrixRuns, tmp_path: Path) -> None:
+def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed: Matrix, tmp_path: Path) -> None:
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     folder = RunFolder.open(runs / undisturbed.sources["slow"][1].path.name)
     shutil.rmtree(folder.checkpoints / "best")

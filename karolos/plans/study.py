@@ -184,7 +184,8 @@ class Study:
 
 
 def _sampler(sweep: Sweep, number: int) -> optuna.samplers.BaseSampler:
-    seed = _seed(sweep, number)
+    """The sampler of a trial, with a seed of its own."""
+    seed = SeedTree(sweep.seed).child("sampler", number).integer() % 2**32
     if sweep.sampler == "gp":
         return optuna.samplers.GPSampler(seed=seed, n_startup_trials=STARTUP_TRIALS, warn_independent_sampling=False)
     if sweep.sampler == "tpe":
@@ -194,11 +195,6 @@ def _sampler(sweep: Sweep, number: int) -> optuna.samplers.BaseSampler:
             seed=seed, n_startup_trials=STARTUP_TRIALS, multivariate=True, group=conditional
         )
     return optuna.samplers.RandomSampler(seed=seed)
-
-
-def _seed(sweep: Sweep, number: int) -> int:
-    """The seed of the sampler for this trial: 32 bits."""
-    return SeedTree(sweep.seed).child("sampler", number).integer() % 2**32
 
 
 def _drawn(trial: optuna.Trial, sweep: Sweep) -> OpenTrial:

@@ -8,9 +8,9 @@ import shutil
 import signal
 import sys
 from collections import Counter
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.processes import child_processes, killed_when
@@ -20,16 +20,15 @@ from karolos.comparison import gather
 from karolos.errors import NoSuchRunError, RunError, UsageError
 from karolos.experiment.events import RunTested, RunWarned
 from karolos.files import FileLock
-from karolos.launchers.experiment import Experiment
+from karolos.launchers.experiment import Experiment, Outcome
 from karolos.launchers.runs import Home, RunJob
+from karolos.plans.objectives import measure_all
+from karolos.plans.study import Study
+from karolos.plans.sweep import Search
 from karolos.records import RunFolder
-from karolos.records.sweep_records import find_sweep, read_sweep
+from karolos.records.sweep_records import FinalBegan, SweepRecord, TrialChanged, find_sweep, read_sweep
 from karolos.specification import load_spec, spec_from_dict, spec_of_trial
 from karolos.store import Store, check, query, reindex
-from karolos.sweep.events import SweepOutcome, TrialBegan
-from karolos.sweep.objectives import measure_all
-from karolos.sweep.search import Search, samples
-from karolos.sweep.study import Study
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -40,12 +39,20 @@ SPEC = sweep_spec(
     objective="mean_success_end",
     final={"top": 2, "seeds": 1, "report_seeds": 1},
 ) | {"seeds": [2]}
-BEGIN = "import json, sys; from karolos.sweep.search import Search\nif __name__ == '__main__':\n    "
+BEGIN = "import json, sys; from karolos.plans.sweep import Search\nif __name__ == '__main__':\n    "
 BEGIN += "Search(json.loads(sys.argv[1])).run('runs')"
 
 
+def searched(spec: Any, runs: Path, **options: Any) -> tuple[SweepRecord, Outcome]:
+    """The sweep of a spec after a call of it."""
+    search = Search(spec)
+    outcome = search.run(runs, **options)
+    assert search.record is not None
+    return search.record, outcome
+
+
 @pytest.fixture(scope="module")
-def killed(tmp_path_factory) -> SweepOutcome:
+def killed(tmp_path_factory) -> SweepRecord:
     """A sweep whose process was killed half-way, and that was then started again and lost a worker."""
     home = tmp_path_factory.mktemp("killed")
     command = [sys.executable, "-c", BEGIN, json.dumps(SPEC)]
@@ -56,14 +63,15 @@ def killed(tmp_path_factory) -> SweepOutcome:
     others = set(child_processes())  # of earlier tests
 
     def kill(event: object) -> None:
-        if isinstance(event, TrialBegan) and not lost:
+        if isinstance(event, TrialChanged) and event.trial.state == "running" and not lost:
             lost.extend(set(child_processes()) - others)  # none at the first trial
             for process in lost:
                 os.kill(process, signal.SIGKILL)
 
-    outcome = Search(SPEC).run(home / "runs", listener=kill)
+    found, outcome = searched(SPEC, home / "runs", listener=kill)
     assert len(lost) == 1
-    return outcome
+    assert outcome.complete
+    return found
 
 
 def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none_is_doubled(killed):
@@ -90,35 +98,26 @@ def test_a_sweep_finds_a_better_learning_rate_than_a_bad_default(killed, tmp_pat
     assert killed.best.drawn["agent.learning_rate"] > 1e-4
 
 
-def test_the_best_is_chosen_and_reported_on_seeds_it_was_not_tuned_on(killed):
-    final = killed.final
+def test_the_best_is_chosen_and_reported_on_seeds_and_test_episodes_it_was_not_tuned_on(killed):
+    final, runs = killed.final, Path(killed.folder).parents[1]
     assert (final.seeds, final.report_seeds) == ((1,), (3,))  # 0 tuned it, and 2 is the spec's own
     assert len(final.fresh) == 2
     assert final.fresh[final.chosen] == max(final.fresh.values())
     row = json.loads((Path(killed.folder) / "final.json").read_text())
     assert row["gap"] == pytest.approx([final.tuned[0] - final.reported[0]])
-
-
-def test_the_best_trial_is_a_spec_that_runs(killed):
-    spec = load_spec(Path(killed.folder) / "best.yaml")
-    assert spec.agent.settings.learning_rate == killed.best.drawn["agent.learning_rate"]
-    assert (spec.name, spec.seeds, spec.sweep) == ("line-best", killed.final.report_seeds, None)
-    reported = RunFolder.open(next(Path(killed.folder).parents[1].glob(f"{killed.best.name}-s3-*")))
-    assert reported.description()["experiment"] == spec.hash()
-
-
-def test_the_best_is_reported_on_test_episodes_it_was_not_tuned_on_and_ends_with_a_final_test(killed):
-    runs = Path(killed.folder).parents[1]
     tuned, chosen, reported = (RunFolder.open(next(runs.glob(f"{killed.best.name}-s{seed}-*"))) for seed in (0, 1, 3))
     assert [folder.spec()["testing"]["seed"] for folder in (tuned, chosen, reported)] == [0, 0, 2_000_000]
     assert [bool(folder.final()) for folder in (tuned, chosen, reported)] == [False, False, True]
 
 
-def test_the_reported_value_is_that_of_the_final_test(killed):
+def test_the_best_trial_is_a_spec_that_runs_and_is_reported_by_its_final_test(killed):
+    spec = load_spec(Path(killed.folder) / "best.yaml")
+    assert spec.agent.settings.learning_rate == killed.best.drawn["agent.learning_rate"]
+    assert (spec.name, spec.seeds, spec.sweep) == ("line-best", killed.final.report_seeds, None)
     folder = RunFolder.open(next(Path(killed.folder).parents[1].glob(f"{killed.best.name}-s3-*")))
-    job = RunJob(load_spec(Path(killed.folder) / "best.yaml"), Home(folder.path.parent, ""))
-    job.read_tests(3, folder)
-    assert job.finals == {3: folder.final()["last"]}
+    assert folder.description()["experiment"] == spec.hash()
+    job = RunJob(spec, Home(folder.path.parent, ""), known={3: folder})
+    assert list(job.tasks()) == []
     values = measure_all(("success_end", "return"), job)
     assert values == (folder.final()["last"].success_end, folder.final()["last"].mean_return)
 
@@ -178,7 +177,7 @@ def copied(killed, tmp_path) -> Path:
 
 def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_nothing(copied):
     (copied / "sweeps" / "line" / "final.json").unlink()
-    outcome = Search(SPEC | {"sweep": SPEC["sweep"] | {"final": None}}).run(copied)
+    outcome, _ = searched(SPEC | {"sweep": SPEC["sweep"] | {"final": None}}, copied)
     best = load_spec(Path(outcome.folder) / "best.yaml")
     assert outcome.final is None
     assert best.seeds == (1,)  # 0 tuned it, and 2 is the spec's own
@@ -187,20 +186,26 @@ def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_n
 
 def test_a_call_that_is_stopped_in_the_final_phase_keeps_that_of_an_earlier_one(killed, copied):
     more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
-    stopped = Search(more).run(copied, time_limit=0.001)
-    assert stopped.exit_code == 124
+
+    def stop(event: object) -> None:
+        if isinstance(event, FinalBegan):
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    stopped, outcome = searched(more, copied, listener=stop)
+    assert outcome.exit_code == 143
     assert stopped.final == killed.final
     assert read_sweep(Path(stopped.folder))[0].final == killed.final
 
 
 def test_no_seed_that_the_best_was_chosen_by_reports_on_it_later(copied):
     more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
-    assert (Search(more).run(copied).final.seeds, Search(SPEC).run(copied).final.report_seeds) == ((1, 3), (4,))
+    found = [searched(spec, copied)[0].final for spec in (more, SPEC)]
+    assert (found[0].seeds, found[1].report_seeds) == ((1, 3), (4,))
 
 
 def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):
     before = {path: path.stat().st_mtime_ns for path in Path(killed.folder).parents[1].glob("line-t*/tests.jsonl")}
-    again = Search(SPEC).run(Path(killed.folder).parents[1])
+    again, _ = searched(SPEC, Path(killed.folder).parents[1])
     assert again.trials == killed.trials
     assert again.final == killed.final
     after = {path: path.stat().st_mtime_ns for path in Path(killed.folder).parents[1].glob("line-t*/tests.jsonl")}
@@ -225,7 +230,7 @@ def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_mar
     monkeypatch.setattr(Study, "figures", lambda _: {})
     space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
     spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
-    outcome = Search(spec).run(tmp_path, listener=listen)
+    outcome, _ = searched(spec, tmp_path, listener=listen)
     assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
     found = find_sweep(tmp_path, outcome.sweep)
     assert (found.trials, found.final, found.state()) == (outcome.trials, outcome.final, "finished")
@@ -246,7 +251,7 @@ def test_another_search_of_the_same_name_is_refused(killed):
 
 
 @pytest.fixture(scope="module")
-def grid(tmp_path_factory) -> Iterator[SweepOutcome]:
+def grid(tmp_path_factory) -> SweepRecord:
     """A sweep on two seeds, of whose trials most are no good; it was asked to stop at the first, and begun again."""
     space = {
         "agent.learning_rate": {"choice": [1e-1, 1e-6, 1e30]},  # the last leads to losses that are no numbers
@@ -254,26 +259,28 @@ def grid(tmp_path_factory) -> Iterator[SweepOutcome]:
     }
     spec = sweep_spec(space, seeds=[0, 1], sampler="grid", objective="mean_success_any", pruner={"startup": 1})
     agent = {**spec["agent"], "precision": "float32"}
-    search = Search({**spec, "agent": agent, "training": {**spec["training"], "steps": 400, "replay_ratio": 16}})
+    spec = {**spec, "agent": agent, "training": {**spec["training"], "steps": 400, "replay_ratio": 16}}
     runs = tmp_path_factory.mktemp("grid")
 
     def stop(event: object) -> None:
-        if isinstance(event, TrialBegan):
+        if isinstance(event, TrialChanged) and event.trial.state == "running":
             os.kill(os.getpid(), signal.SIGTERM)
 
-    stopped = search.run(runs, listener=stop)
-    assert ([trial.state for trial in stopped.trials], stopped.exit_code) == (["running"], 143)
+    stopped, outcome = searched(spec, runs, listener=stop)
+    assert ([trial.state for trial in stopped.trials], outcome.exit_code) == (["running"], 143)
     assert not (Path(stopped.folder) / "figures").exists()
     with pytest.MonkeyPatch.context() as patched:
         patched.setattr(Study, "figures", lambda _: {})  # they take longer than the trials; `killed` draws them
-        yield search.run(runs)
+        found, outcome = searched(spec, runs)
+    assert outcome.exit_code == 0
+    return found
 
 
 def test_a_stopped_sweep_goes_on_and_trials_that_cannot_work_fail(grid):
     assert [trial.state for trial in grid.trials] == ["complete", "failed", "pruned", "failed", "failed", "failed"]
     assert all("batch" in grid.trials[number].error for number in (1, 3, 5))
     assert "nan" in grid.trials[4].error or "inf" in grid.trials[4].error
-    assert (grid.best.number, grid.exit_code) == (0, 0)
+    assert grid.best.number == 0
 
 
 def test_a_pruned_trials_runs_are_stopped_and_say_why(grid):
@@ -322,6 +329,6 @@ def test_another_plugin_keeps_the_settings_that_both_have():
 
 
 def test_samples_are_specs_of_trials_and_values_that_clash_are_told():
-    found = list(samples(spec_from_dict(SPEC), 3))
+    found = list(Search(SPEC).samples(3))
     assert [made.name for _, made in found] == ["line-t000", "line-t001", "line-t002"]
     assert all(made.agent.settings.learning_rate == drawn["agent.learning_rate"] for drawn, made in found)

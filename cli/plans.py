@@ -1,0 +1,312 @@
+"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are made and reported together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from karolos.errors import KarolosError, UsageError
+
+from .arguments import (
+    Database,
+    IfNeeded,
+    Jobs,
+    Json,
+    On,
+    Overrides,
+    Quiet,
+    Resume,
+    Runs,
+    SpecFile,
+    TimeLimit,
+    seconds,
+    with_launcher,
+)
+from .completion import complete_spec
+from .output import check_folder, drawn_text, print_report, print_rows, say, short_text, warn
+
+if TYPE_CHECKING:
+    from karolos.launchers.experiment import Outcome
+    from karolos.plans.plan import Plan
+    from karolos.plans.sweep import Search
+    from karolos.records.sweep_records import SweepRecord, Trial
+
+SAMPLES = 5
+"""Most sampled specs that --dry-run prints."""
+
+
+def _run(
+    plan: Plan, shown: AbstractContextManager[Any], runs: Path, again: str = "with --resume ", **how: Any
+) -> Outcome:
+    """Run what is missing of a plan. After a stop a line says how to continue."""
+    with shown as listener:
+        outcome = plan.run(runs, listener=listener, **how)
+    if outcome.stop_code and not outcome.complete:
+        say(f"{plan.name} is stopped: the same command {again}continues it")
+    return outcome
+
+
+def sweep(
+    spec: SpecFile,
+    overrides: Overrides = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print its first trials.")] = False,
+    on: On = None,
+    time_limit: TimeLimit = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Search the settings that SPEC's sweep names, and write the best as a spec.
+
+    Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command resumes a
+    sweep that was interrupted. The sweep's folder is sweeps/NAME in the runs folder; best.yaml is in it.
+    """
+    from karolos.specification import load_spec
+
+    found = load_spec(spec, with_launcher(overrides, on))
+    from karolos.plans.sweep import Search
+
+    from . import display
+
+    search = Search(found, trials=trials)
+    if dry_run:
+        _print_samples(search, json=json)
+        return
+    shown = display.Quiet() if quiet else display.SweepDisplay(search.sweep.objectives)
+    outcome = _run(search, shown, runs, again="", database=database, jobs=jobs, time_limit=seconds(time_limit))
+    if search.record is not None:
+        report_sweep(search.record, search.front, quiet=quiet, json=json)
+    raise typer.Exit(outcome.exit_code)
+
+
+def report_sweep(sweep: SweepRecord, front: Sequence[Trial], *, quiet: bool, json: bool) -> None:
+    """Print the trials on stdout, and the best of them on stderr."""
+    if json:
+        print_rows((_trial_row(one, sweep) for one in sweep.trials), json=True)
+    elif not quiet:
+        print_trials(sweep)
+    if not quiet:
+        for trial in front if len(sweep.objectives) > 1 else ():
+            say(f"no trial is better than trial {trial.number} in every objective: {drawn_text(trial)}")
+        report_best(sweep)
+
+
+def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
+    """A trial as a row: state, objectives, settings, error, runs.
+
+    After the final choice there are two more columns per objective: on the fresh seeds that the choice was made on, and
+    on the unused seeds that only the chosen trial was run on.
+    """
+    row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
+    final = sweep.final
+    for place, name in enumerate(sweep.objectives):
+        row[name] = trial.values[place] if trial.values else None
+        if final is not None:
+            fresh = final.fresh.get(trial.number)
+            row[f"{name}_fresh"] = fresh[place] if fresh else None
+            unused = final.reported if trial.number == final.chosen else None
+            row[f"{name}_unused"] = unused[place] if unused else None
+    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None for a setting that the trial did not draw
+    return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
+
+
+def print_trials(sweep: SweepRecord) -> None:
+    """Print a table of trials, without runs, errors and `unused`.
+
+    A trial that has not ended is `open` unless the sweep is running: it waits until the sweep is resumed.
+    """
+    running = sweep.state() == "running"
+    left_out = ("error", "runs", *(f"{name}_unused" for name in sweep.objectives))
+    rows = []
+    for row in (_trial_row(trial, sweep) for trial in sweep.trials):
+        row["state"] = "open" if row["state"] == "running" and not running else row["state"]
+        rows.append({name: short_text(value, 3) for name, value in row.items() if name not in left_out})
+    print_rows(rows, json=False)
+
+
+def report_best(sweep: SweepRecord) -> None:
+    """Print the best trial on stderr: its settings, how good it is on which seeds, and how to run it."""
+    best, final, path = sweep.best, sweep.final, Path(sweep.folder) / "best.yaml"
+    if best is None:
+        say("no trial is complete yet")
+        return
+    say(f"best: trial {best.number}, {drawn_text(best)}")
+    if final is not None:
+        for place, name in enumerate(sweep.objectives):
+            tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
+            line = f"{name}: {tuned:.4g} on the seeds it was tuned on, {fresh:.4g} on {len(final.seeds)} fresh seeds "
+            line += "that it was chosen by"
+            if final.reported is not None:
+                unused = final.reported[place]
+                line += f", {unused:.4g} on {len(final.report_seeds)} used for nothing else: gap {tuned - unused:+.4g}"
+            say(line)
+    if path.is_file():
+        say(f"`karolos run {path}` runs it; figures in {path.parent}")
+
+
+def _print_samples(search: Search, *, json: bool) -> None:
+    """Print the first trials: the changed settings, and whether the spec with them is valid.
+
+    Raises UsageError as the search itself if its parts are incompatible, or the environment lacks an objective.
+    """
+    from karolos.plans.study import STARTUP_TRIALS
+    from karolos.training.assembly import check_parts
+
+    if (note := check_parts(search.spec)) is not None:
+        warn(note)
+    rows = []
+    for place, (drawn, made) in enumerate(search.samples(min(search.asked, SAMPLES))):
+        row = {"trial": place, **{key: drawn.get(key) for key in search.sweep.space}}
+        if isinstance(made, KarolosError):
+            row["problem"] = str(made)
+        else:
+            row |= {"problem": None} | ({"spec": made.dump()} if json else {})
+        rows.append(row)
+    print_rows(rows, json=json)
+    each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
+    say(f"{search.asked} trials, {each}; nothing was run")
+    if search.sweep.sampler in ("tpe", "gp") and search.asked > STARTUP_TRIALS:
+        say(f"these are the first; from trial {STARTUP_TRIALS} on, values depend on results")
+
+
+def suite(
+    file: Annotated[
+        Path,
+        typer.Argument(
+            metavar="SUITE", help="A YAML file that names specs, or one that ships.", autocompletion=complete_spec
+        ),
+    ],
+    overrides: Overrides = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    jobs: Jobs = None,
+    resume: Resume = False,
+    if_needed: IfNeeded = False,
+    budget: Annotated[
+        str | None,
+        typer.Option(
+            metavar="DURATION",
+            help="Run one seed of each spec within this time, e.g. 2h. The specs share it by their steps; a run that "
+            "does not fit is cut and reported as it is.",
+        ),
+    ] = None,
+    beside: Annotated[
+        str | None,
+        typer.Option(
+            metavar="FOLDER",
+            help="Compare with the runs in this folder that have the specs' names; `shipped`: with those that ship.",
+        ),
+    ] = None,
+    on: On = None,
+    time_limit: TimeLimit = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Train every spec that SUITE names, and report them as a table of tasks and robots.
+
+    PATH=VALUE holds for every spec: agent=mine trains the table with another agent, without the settings that it has no
+    use for; they are said, and so is what cannot run. The runs are ordinary runs with
+    the specs' names. The page is suites/NAME/report.html in the runs folder; with overrides NAME has them at its end.
+    """
+    from karolos.specification.suite import load_suite
+
+    found = load_suite(file, with_launcher(overrides, on))
+    others = _folder(beside)
+    from karolos.plans.suite import SuitePlan
+
+    from . import display
+
+    plan = SuitePlan(found, overrides or (), seconds(budget, "--budget"))
+    existing = "resume" if resume else "skip" if if_needed else "ignore"
+    how: dict[str, Any] = {"database": database, "jobs": jobs, "existing": existing, "time_limit": seconds(time_limit)}
+    outcome = _run(plan, display.Quiet() if quiet else display.Plain(), runs, **how)
+    if outcome.stop_code and not outcome.complete:
+        raise typer.Exit(outcome.exit_code)
+    from karolos.plans import suite_report as reports
+
+    report = reports.suite_report(plan, others)
+    for warning in report.warnings:
+        warn(warning)
+    if not (quiet or json):
+        print(reports.verdict(report))
+    tables = [reports.grid_table(report), reports.entries_table(report), reports.measures_table(report)]
+    shown = [one for one in tables if one.rows]
+    print_report(report.rows(), shown, reports.notes(report), quiet=quiet, json=json)
+    path = plan.write_page(reports.suite_page(report, plan.folder))
+    if not quiet:
+        say(f"wrote {path}")
+    raise typer.Exit(outcome.exit_code)
+
+
+def _folder(beside: str | None) -> Path | None:
+    """The folder of the runs to compare with. Raises UsageError if it is missing."""
+    from karolos.records.shipped import FOLDER as SHIPPED
+
+    if beside is None:
+        return None
+    path = SHIPPED if beside == "shipped" else Path(beside)
+    if not path.is_dir():
+        raise UsageError(f"there is no folder {beside}", where="--beside", hint="name a folder of runs, or `shipped`")
+    return path
+
+
+def transfer(
+    spec: SpecFile,
+    overrides: Overrides = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    jobs: Jobs = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Continue a matrix that has begun; nothing is run twice.")
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="FOLDER", help="Also write every figure as SVG, PDF and PNG into this folder."),
+    ] = None,
+    on: On = None,
+    time_limit: TimeLimit = None,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> None:
+    """Train on every variant of SPEC's transfer, test the policies on the others, and fine-tune them there.
+
+    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves,
+    transfers/NAME/report.html in the runs folder. The runs are ordinary runs: NAME-SOURCE, NAME-SOURCE-to-TARGET.
+    """
+    from karolos.specification import load_spec
+
+    if out is not None:
+        check_folder(out, "a folder")
+    found = load_spec(spec, with_launcher(overrides, on))
+    from karolos.plans.matrix import Matrix
+
+    from . import display
+
+    matrix, existing = Matrix(found), "resume" if resume else "ignore"
+    how: dict[str, Any] = {"database": database, "jobs": jobs, "existing": existing, "time_limit": seconds(time_limit)}
+    shown, told = (display.Quiet(), lambda _: None) if quiet else (display.Plain(), say)
+    outcome = _run(matrix, shown, runs, **how, say=told)
+    if outcome.stop_code and not outcome.complete:
+        raise typer.Exit(outcome.exit_code)
+    from karolos.plans import matrix_report as reports
+    from karolos.report.figures import write_figures
+
+    report = reports.transfer_report(matrix)
+    for warning in report.warnings:
+        warn(warning)
+    tables = [*(reports.matrix_table(report, name) for name in report.metrics), reports.variants_table(report)]
+    print_report(report.rows(), tables, reports.notes(report), quiet=quiet, json=json)
+    maps, curves = reports.transfer_figures(report)
+    path = matrix.write_page(reports.matrix_page(report, maps, curves))
+    if out is not None:
+        write_figures([*maps, *curves], out)
+    if not quiet:
+        say(f"wrote {path}")
+    raise typer.Exit(outcome.exit_code)

@@ -1,0 +1,126 @@
+"""What sweeps, suites and matrices of transfers have in common: how they are run, stopped and resumed."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, ClassVar
+
+from ..errors import RunError
+from ..experiment.events import RunEvent, RunWarned
+from ..experiment.signals import StopRequestedError, stop_on_signals
+from ..files import locked, write_whole, writing
+from ..launchers.driver import Driver, make_launcher
+from ..launchers.experiment import Outcome
+from ..launchers.runs import Existing, Home
+from ..specification import Spec
+
+PAGE = "report.html"
+LOCK = "lock"
+"""The file in a plan's folder that its process holds locked."""
+LOCK_SECONDS = 0.5
+"""Readers hold the lock for an instant to see whether the plan is running."""
+
+
+class Plan(ABC):
+    """Experiments that are run together and reported together.
+
+    Their runs are ordinary runs, whose folders say what is done: a plan that was stopped goes on where it ended. What
+    `run` has found stands in the plan.
+    """
+
+    what: ClassVar[str]
+    """What a person calls it."""
+    place: ClassVar[str]
+    """The folder of all such plans, in the runs folder."""
+    name: str
+    folder_name: str
+    """Name of its own folder; usually that of the plan."""
+    spec: Spec
+    """The one whose launcher is used."""
+    jobs: int | None = None
+    home: Home
+    driver: Driver
+    """These three are set by `run`."""
+
+    def run(
+        self,
+        runs: str | Path = "runs",
+        *,
+        database: str | None = None,
+        jobs: int | None = None,
+        existing: Existing = "ignore",
+        time_limit: float | None = None,
+        listener: Callable[[Any], object] = lambda _: None,
+        say: Callable[[str], object] = lambda _: None,
+    ) -> Outcome:
+        """Run what is missing, and nothing twice.
+
+        Args:
+            runs: folder of the run folders, and of the plan's own folder.
+            database: SQLAlchemy URL of the results database.
+            jobs: runs (of a sweep: trials) at the same time, each run in its own process; None: one, or with another
+                launcher than `local` as many as it has room for.
+            existing: what to do with existing runs, as for `Experiment.run`. A sweep always resumes.
+            time_limit: seconds after which to stop.
+            listener: is called with every event.
+            say: is called with a line for each phase.
+
+        Raises:
+            SpecError, UsageError: the plan cannot work, or has begun and is not to be resumed.
+            RunError: another process runs the plan, or what a run starts from is missing.
+            MachineError: the runs folder cannot be written, or processes cannot be started.
+            StoreError: the database cannot be used.
+        """
+        self.jobs, self.listener, self.say = jobs, listener, say
+        complete = False
+        with stop_on_signals(time_limit=time_limit) as stop, suppress(StopRequestedError), ExitStack() as stack:
+            with stop.at_once():  # an environment may hang
+                self.check()
+            self.home = Home.prepared(self.spec, runs, database, existing)
+            self.claim(stack)
+            launcher = stack.enter_context(make_launcher(self.spec, self.at_once))
+            self.driver = Driver(launcher, self.hear, stop, retries=1)
+            complete = self.execute()
+        return Outcome(complete, stop.exit_code)
+
+    @property
+    def at_once(self) -> int | None:
+        """Processes at the same time; None: as many as the launcher has room for."""
+        return self.jobs
+
+    @property
+    def folder(self) -> Path:
+        """The plan's own folder."""
+        return self.home.runs / self.place / self.folder_name
+
+    @abstractmethod
+    def check(self) -> None:
+        """Raise an error for what cannot work, before anything runs. A stop request breaks it off."""
+
+    @abstractmethod
+    def execute(self) -> bool:
+        """Run what is missing. Returns whether everything is there."""
+
+    def claim(self, stack: ExitStack) -> None:
+        """Let no other process run the plan as well, until the stack is left. Raises RunError."""
+        refusal = RunError(f"another process runs this {self.what}", where=str(self.folder), hint="wait for it")
+        stack.enter_context(locked(self.folder / LOCK, refusal, LOCK_SECONDS))
+
+    def hear(self, event: RunEvent) -> None:
+        """An event of a run."""
+        self.listener(event)
+
+    def warn(self, note: str) -> None:
+        """Warn the listener."""
+        self.listener(RunWarned(self.name, note))
+
+    def write_page(self, text: str) -> Path:
+        """Write the plan's page into its folder; returns its path. Raises MachineError."""
+        path = self.folder / PAGE
+        with writing(path):
+            path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(path, text)
+        return path

@@ -1,1 +1,0 @@
-"""Matrices of transfers: every source is tested and fine-tuned on every target; metrics and the report."""
