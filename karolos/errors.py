@@ -132,10 +132,10 @@ def _line(where: object, setting: str | None, what: str, hint: str | None) -> st
 
 
 def described(error: BaseException) -> str:
-    """Class and first line of an exception of anybody's."""
+    """Class and first line of any exception."""
     try:
         lines = str(error).strip().splitlines()
-    except Exception:  # its text is anybody's as well
+    except Exception:  # __str__ may raise anything
         lines = []
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 

@@ -29,9 +29,9 @@ _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
 MOST_FILES, MOST_BYTES = 20_000, 1 << 32
-"""Of a folder that counts by its content; a larger one counts by its name."""
+"""Largest folder that counts by its content; a larger one counts by its name."""
 LARGE_FILE, SAMPLES, SAMPLE = 1 << 26, 256, 1 << 16
-"""Bytes; a larger file counts by its size and so many parts of so many bytes, so that specs stay fast."""
+"""A file of more bytes counts by its size and by SAMPLES parts of SAMPLE bytes, so that specs stay fast."""
 _NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py", ".json", ".toml", ".yaml", ".yml")
 _NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
 _UNQUOTED = re.compile(r"""[:-][ \t]+([^\s"'#]{1,300}\.\w{1,8})[ \t]*$""", re.MULTILINE)

@@ -161,7 +161,7 @@ def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPo
 def _readable_points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
     try:
         return _points(dist)
-    except Exception:  # files of anybody
+    except Exception:  # a file may have any content
         return importlib.metadata.EntryPoints(())
 
 
@@ -181,7 +181,7 @@ def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
             points = [
                 (GROUPS[point.group], point.name, point.value) for point in _points(dist) if point.group in GROUPS
             ]
-        except Exception as error:  # files of anybody
+        except Exception as error:  # a file may have any content
             problems.append(f"{place}: its entry points cannot be read: {_text(error)}")
             continue
         name, _, version = getattr(place, "stem", "?").partition("-")

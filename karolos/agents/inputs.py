@@ -53,7 +53,7 @@ class Normaliser:
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
         self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
         self.shift = torch.zeros(columns, device=device)
-        """Of `(x - shift) * scale`: float32, (columns,)."""
+        """The shift in `(x - shift) * scale`: float32, (columns,)."""
         self.scale = torch.ones(columns, device=device)
 
     @property
@@ -125,9 +125,9 @@ class TensorBatch(NamedTuple):
     action: Tensor
     reward: Tensor
     discount: Tensor
-    """Of the next state's value; 0 after a terminated transition."""
+    """The discount of the next state's value; 0 after a terminated transition."""
     weight: Tensor
-    """Of each transition in a loss: its importance weight / n. A loss is the weighted sum over the batch."""
+    """The weight of each transition in a loss: importance weight / n. A loss is the weighted sum over the batch."""
     demonstrated: Tensor | None
     """1 where the action is to be imitated, else 0: (n,)."""
 

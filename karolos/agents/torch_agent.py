@@ -53,8 +53,8 @@ class OptimiserSettings(AgentSettings):
         None,
         gt=0,
         le=100,
-        description="networks also see what is missing of the goal, desired minus achieved, so many times as fine as "
-        "it spreads (bounded by tanh), where observations have what is achieved; null: they do not",
+        description="networks also see desired minus achieved goal, divided by its spread and multiplied by this "
+        "(bounded by tanh), where observations have the achieved goal; null: they do not",
     )
     gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
 

@@ -81,7 +81,7 @@ class Agent(ABC, Generic[Experience]):
 
     Call order. The loop calls `act(explore=True)` for the environments that are ready, and `begin_episodes` before the
     first action of new episodes. It calls `learn` as often as the replay ratio says, or once per complete rollout.
-    Warm-up actions are drawn without the agent. Tests call `act(explore=False)` with any number of rows.
+    Warm-up actions are sampled without the agent. Tests call `act(explore=False)` with any number of rows.
 
     Determinism. Random numbers come from generators made from `seeds`. The same calls give the same results bit for
     bit, also after `load_state(state())` in a new agent. `act(explore=False)` changes no state.

@@ -54,7 +54,7 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
         if lock.held:  # by the function that calls this one
             return compile_it(signature)
         try:
-            with suppress(MachineError):  # a file system without locks: whoever comes compiles
+            with suppress(MachineError):  # a file system without locks: each process compiles
                 lock.acquire(WAIT_SECONDS)
             return compile_it(signature)
         finally:

@@ -18,8 +18,7 @@ from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import ENGINES, Engine, make_world
 from ..simulation.geometry import rotated
-from ..simulation.interface import Camera, Robot, Stroke, Task, TaskNeeds, World
-from ..simulation.interface.engine import PHYSICS_RATE
+from ..simulation.interface import PHYSICS_RATE, Camera, Robot, Stroke, Task, TaskNeeds, World
 from .action_set import ActionSet, action_index
 
 TIME_TO_SUCCESS = Measure(
@@ -156,7 +155,7 @@ class RobotTask(Environment):
         return tuple(measures)
 
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:
-        """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
+        """Set the parameters that each reset samples ("task.gravity"). Raises UsageError for undeclared ones."""
         self._randomization = Randomization(distributions, self.declared)
         self.signature = replace(self.signature, parameters=self._randomization.layout)
 

@@ -9,8 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from ..errors import UsageError
 from ..system import has_display
-from .interface import World
-from .interface.engine import Ability
+from .interface import Ability, World
 
 Engine = Literal["mujoco", "bullet"]
 CALLED: dict[Ability, str] = {

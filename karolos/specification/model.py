@@ -14,8 +14,7 @@ from pydantic import Field as Setting
 from ..core import Settings
 from ..files import fingerprint, is_portable
 from .parts import OfKind, Part, Recipe
-from .sweep import Seed, Seeds, Sweep
-from .transfer import Transfer
+from .sweep import Seed, Seeds, Sweep, Transfer
 from .tree import PARTS
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -30,7 +29,7 @@ def _portable(name: str) -> str:
 
 
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN), AfterValidator(_portable)]
-"""Of an experiment or a suite."""
+"""The name of an experiment or a suite."""
 PARAMETER_PATTERN = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
@@ -158,7 +157,7 @@ class TestingSettings(Settings):
 
 
 class Continued(Settings):
-    """Of which experiment's runs, and from which step, a run goes on."""
+    """The experiment and the step from which a run continues."""
 
     experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
     at: int = Setting(ge=0, description="environment steps that its runs have taken")

@@ -138,7 +138,7 @@ def _overridden(file: str, overrides: list[str], above: list[Node]) -> Spec:
 
 
 def _file_of(given: Node) -> str:
-    """The spec file that an entry names: beside the suite's, or a shipped one."""
+    """The spec file that an entry names: relative to the suite's, or a shipped one."""
     near = given.value if given.value.startswith(SHIPPED) else beside(given.at.source, given.value)
     name = near if os.path.isfile(find_spec(near)[0]) else given.value
     if wrong := unreadable(find_spec(name)[0]):

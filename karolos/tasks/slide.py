@@ -12,8 +12,7 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layou
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
-from ..simulation.interface import Box, Camera, Cup, RobotView, World
-from ..simulation.interface.engine import FLOOR_FRICTION, GRAVITY
+from ..simulation.interface import FLOOR_FRICTION, GRAVITY, Box, Camera, Cup, RobotView, World
 from ..simulation.shapes import Cylinder, Shape
 from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
@@ -176,7 +175,7 @@ class Slide(CubeTask):
 
     @property
     def deceleration(self) -> float:
-        """Of the sliding puck, in m/s2: Coulomb's friction."""
+        """Deceleration of the sliding puck by Coulomb's friction, in m/s2."""
         return max(-self.drawn.object_friction * self._floor * self._gravity, 1e-3)
 
     def build(self, world: World) -> None:

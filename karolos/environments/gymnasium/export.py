@@ -51,7 +51,7 @@ class Goals:
 
     @property
     def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.Space[Any]]:
-        """Of one environment's observations, and of its actions."""
+        """The spaces of one environment's observations and actions."""
         signature = self.facts.signature
         sizes = {name: getattr(signature, name).size for name in OBSERVED}
         boxes: dict[str, gymnasium.Space[Any]] = {

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Quaternion, Vector
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
 from .body import MujocoBody
 from .simulation import Simulation
 

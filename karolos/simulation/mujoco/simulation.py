@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import MachineError, PluginError
-from ..interface.engine import GRAVITY
+from ..interface import GRAVITY
 
 IMPEDANCE_RATIO = 100.0
 """Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""

@@ -1,20 +1,30 @@
-"""What a physics engine offers to robots and tasks: a world, its bodies and the motors of an arm.
+"""The interfaces between an engine, a robot, a task and the environment that joins them.
 
-Units: m, s, kg, N, rad; quaternions x y z w. z points up, the floor is z = 0.
+A task uses `RobotView` and nothing else of a robot, so any robot works with any task. Robots and tasks use `World`,
+`Body` and `Motors` and nothing else of an engine.
+Units: m, s, kg, N, rad. The world's frame has its origin on the floor, at the robot's base or, with `robot.base:
+centred`, below the middle of its workspace.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from operator import gt
 from pathlib import Path
-from typing import Any, Final, Literal, NamedTuple, Protocol
+from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol
 
-from ...core import Array
-from ..geometry import UPRIGHT, Colour, Quaternion, Vector
-from ..parts import Mechanism
-from ..shapes import Inertia, Shape
+import numpy as np
+from pydantic import BaseModel
+
+from ..core import Array, Expert, FloatArray, Generator, GoalRule, Layout, Measure
+from ..randomization.randomization import RandomizedParameter, drawn_settings
+from .geometry import UPRIGHT, Colour, Orientations, Quaternion, Vector
+from .geometry import Box as Box  # noqa: PLC0414  (plugins import it from here)
+from .kinematics import Configuration, Pose
+from .parts import Mechanism
+from .shapes import Inertia, Shape
 
 Ability = Literal["impedance", "suction", "materials", "window"]
 """What not every engine can do: springs at tools, cups, surfaces that give way as told, a window that shows a world."""
@@ -40,7 +50,7 @@ class Camera:
     pitch: float = -20.0
     field_of_view: float = 33.0
     base: Vector = (0.0, 0.0, 0.0)
-    """Where the arm stands: a plate is drawn on the floor below it."""
+    """Where the arm stands. Pictures show a plate on the floor below it."""
 
 
 class Stroke(NamedTuple):
@@ -49,7 +59,7 @@ class Stroke(NamedTuple):
     points: Sequence[Vector]
     colour: Colour
     width: float = 1.0
-    """Of a usual line's width."""
+    """Multiple of a usual line's width."""
     label: str | None = None
     """At the head of an arrow; None: a line, which bodies in front of it hide."""
 
@@ -63,7 +73,7 @@ class JointLimits:
     velocity: tuple[float, ...]
     effort: tuple[float, ...]
     names: tuple[str, ...] = ()
-    """Of the joints, for messages; empty where they have none."""
+    """Names of the joints, for messages; empty if they have none."""
 
     def slowed(self, velocities: Sequence[float]) -> Sequence[float]:
         """The velocities (n,) with each joint at its largest speed at most."""
@@ -99,9 +109,9 @@ class Cup:
     """
 
     radius: float
-    """Of the lip, in m."""
+    """Radius of the lip, in m."""
     max_force: float
-    """Of the suction, in N."""
+    """Largest force of the suction, in N."""
     pad_friction: float
     """Lateral friction coefficient of the lip."""
 
@@ -114,15 +124,15 @@ class Material:
     """
 
     stiffness: float = 4e6
-    """Of each point of contact, in N/m. The default is hard enough for an arm that presses on the floor with 1 kN."""
+    """Stiffness of each contact point in N/m. The default holds an arm that presses on the floor with 1 kN."""
     damping: float = 0.0
-    """Of each point of contact, in N s/m."""
+    """Damping of each contact point in N s/m."""
     restitution: float = 0.0
     """Speed after an impact / speed before it, in [0, 1]; of two bodies that of the livelier."""
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Of a free body and of what moves on a mechanism, if nothing else is said."""
+"""Default of a free body and of what moves on a mechanism."""
 
 
 Frame = tuple[Vector, Quaternion]
@@ -156,7 +166,7 @@ class Fingers:
     joints: tuple[str, str]
     links: tuple[str, str]
     travel: float
-    """Of each finger, in m."""
+    """Travel of each finger, in m."""
     open_at_zero: bool
     """Whether joint position 0 means open; otherwise it means closed."""
     gripper: Gripper
@@ -196,7 +206,7 @@ class Body(Protocol):
     """One body of a world. Links have an index, which is that of the joint above them; -1 is the base."""
 
     index: int
-    """Of the body in its world."""
+    """Index of the body in its world."""
 
     def links(self) -> dict[str, int]:
         """Index of each link by name, without the base."""
@@ -208,7 +218,7 @@ class Body(Protocol):
         """Set the pose of the base, at rest."""
 
     def pose(self) -> tuple[Vector, Quaternion]:
-        """Of the base."""
+        """Position (m) and orientation of the base."""
 
     def velocity(self) -> tuple[Vector, Vector]:
         """Linear (m/s) velocity of the origin of the base's frame, and angular velocity (rad/s) of the base."""
@@ -252,7 +262,7 @@ class Loads(NamedTuple):
     acceleration: Sequence[float]
     """rad/s2, the mean of a control step."""
     torque: Sequence[float]
-    """Of the motor, in N m."""
+    """Torque of the motor, in N m."""
     wrench: float
     """The largest force of `Motors.wrench` since then, in N; with PyBullet as for `World.largest_forces`."""
 
@@ -418,9 +428,326 @@ class World(Protocol):
         """A picture (height, width, 3) uint8.
 
         Args:
-            strokes: what is drawn besides bodies and markers.
+            strokes: lines and arrows besides bodies and markers.
             back: the fraction of the way from now to the state of the last picture with 0, of which a picture is taken.
         """
 
     def close(self) -> None:
         """Free the world. A second call has no effect."""
+
+
+GripperUse = bool | Literal["closed"]
+ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
+
+
+@dataclass(frozen=True)
+class TaskNeeds:
+    """What a task asks of a robot."""
+
+    gripper: GripperUse
+    """Whether it uses the gripper, see `Task.uses_gripper`."""
+    period: float
+    """Duration of a control step in s."""
+    control: ControlMode = "cartesian"
+    """What actions change unless the robot's settings say otherwise, see `Task.control`."""
+    protective_stop: bool = False
+    """Whether the robot stops protectively unless its settings say otherwise."""
+    fingers: float = 0.0
+    """How far a gripper that the task does not use stands open unless the robot's settings say otherwise."""
+
+
+class RobotView(Protocol):
+    """Everything that a task or a scripted expert may know of a robot."""
+
+    base: Vector
+    """Position of its base in the world, in m."""
+    workspace: Box
+    """Region that the tool reaches while it points down, each point to within 5 mm."""
+    orientations: Orientations
+    """Those to which actions turn the tool, around that of home."""
+    dexterous: Box | None
+    """Part of the workspace in which the tool takes all of them; None where it is not known."""
+    limits: JointLimits
+    gripper: Gripper | Cup | None
+    """None for a robot without a gripper."""
+    gripper_delay: float
+    """Seconds after which the gripper follows its command, where randomization draws no other delay."""
+    home: Vector
+    """Tool position at the start of an episode without reset noise, in m."""
+    home_yaw: float
+    """Yaw of the tool's x axis at home, in rad. The pads face each other along the tool's x or y axis."""
+    reset_noise: float
+    """Largest deviation of each joint from the home pose at a reset, in rad."""
+    tool_step: float
+    """Largest change of the tool position along each axis in one control step, in m."""
+    tool_speed: float
+    """Largest speed of the tool centre point in m/s; inf where the speeds of the joints alone limit it."""
+    joint_step: tuple[float, ...]
+    """Largest change of each joint position in one control step, in rad: (n,)."""
+    period: float
+    """Duration of a control step in s."""
+    turns_joints: bool
+    """Whether actions change joint positions, so that `turning` works."""
+    home_joints: tuple[float, ...]
+    """Joint positions of the home pose in rad: (n,)."""
+    joint_positions: Sequence[float]
+    """Current joint positions in rad: (n,)."""
+    joint_velocities: Sequence[float]
+    """Current joint velocities in rad/s: (n,)."""
+
+    tool: Pose
+    """Current pose of the tool."""
+    closing: Vector
+    """Direction in which the pads close, of either of them; only with a gripper that the task uses."""
+    tool_position: Vector
+    """Current position of the tool centre point, in m."""
+    tool_velocity: Vector
+    """Current velocity of the tool centre point, in m/s."""
+    opening: float
+    """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
+    opening_command: float
+    """Opening that the gripper was told to take: 0 closed, 1 open. 0 without a gripper."""
+    observed_tool_position: Vector
+    """The tool position in m as the last `observe` gave it, with noise."""
+
+    def forward(self, joints: Sequence[float]) -> Configuration:
+        """Forward kinematics: tool pose and joint axes at joint positions (n,) in rad."""
+
+    stopped: bool
+    """Whether a protective stop has ended the running episode."""
+
+    wrench: Sequence[float]
+    """What contacts do to the gripper and what it holds, as a sensor at the wrist feels it: force in N and torque in
+    N m at the tool centre point, in the tool's frame, low-passed; zero at a reset."""
+    joint_torques: Sequence[float]
+    """Torques of the motors in the last physics step, in N m: (n,)."""
+
+    def contact_force(self, body: Body) -> float:
+        """Largest force in N of a body on the links in a physics step of the last control step."""
+
+    def largest_force(self, *allowed: Body) -> float:
+        """Largest force in N on a link in a physics step of the last control step, by other bodies than these."""
+
+    def touches_others(self, *allowed: Body) -> bool:
+        """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
+
+    def with_noise(self, values: Sequence[float]) -> list[float]:
+        """The values with the observation noise of the episode, for what a task observes of its objects."""
+
+    def pads_touching(self, body: Body) -> int:
+        """Number of pads (0, 1, 2) in contact with the body; 2 for one that a cup holds."""
+
+    def pads_gripping(self, body: Body) -> int:
+        """Number of pads (0, 1, 2) whose inner faces, facing each other, touch the body; 2 for one that a cup holds."""
+
+    def place_tool(
+        self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False
+    ) -> None:
+        """During a reset: put the tool there at rest, the gripper at `opening`.
+
+        Args:
+            position: in m.
+            opening: 0 closed, 1 open.
+            orientation: of the tool; None: pointing down as at home.
+            closing: whether the gripper closes until an action says otherwise, to hold what is between its pads.
+
+        Raises PluginError for an unreachable position.
+        """
+
+    def towards(self, position: Vector, opening: float, orientation: Quaternion | None = None) -> FloatArray:
+        """The action (action.size,) that moves the tool towards a pose and the gripper to `opening`.
+
+        The orientation of the tool is by default that of home.
+        """
+
+    def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
+        """The action (action.size,) that changes the joints by `changes` (n,) in rad, clipped to the joint step.
+
+        Raises UsageError when actions do not change joint positions.
+        """
+
+
+class Robot(RobotView, Protocol):
+    """A robot plugin. Its constructor takes the settings and is cheap; `build` adds the robot to a world.
+
+    Order of calls: `prepare`, then the layouts; `build` once; per episode `apply` and `reset`; per step `act`, a
+    physics step, `read`.
+    """
+
+    Settings: ClassVar[type[BaseModel]]
+
+    parameters: Mapping[str, RandomizedParameter]
+    """What domain randomization may change, by name."""
+    observation: Layout
+    action: Layout
+    stops: int
+    """Number of protective stops in the running episode, those that are only counted included."""
+    measures: Sequence[Measure]
+    """What it measures an episode by; may depend on `prepare`."""
+
+    engine_needs: Mapping[str, Ability]
+    """What not every engine can do and it needs, by the setting that asks for it, as a spec calls it."""
+
+    def prepare(self, needs: TaskNeeds) -> None:
+        """Adapt layouts and step sizes to a task.
+
+        Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
+        the task.
+        """
+
+    def build(self, world: World) -> None: ...
+
+    def apply(self, name: str, value: float) -> None:
+        """Set a declared parameter for the next episode; called before `reset`."""
+
+    def reset(self, generator: Generator) -> None:
+        """Take the home pose with reset noise, then `read`. The generator belongs to the episode and may be stored."""
+
+    def act(self, action: Sequence[float]) -> None:
+        """Aim the motors: action.size finite numbers, clipped to [-1, 1]."""
+
+    def read(self) -> None:
+        """Read the state from the world, for the view and `observe`."""
+
+    def observe(self) -> list[float]:
+        """The robot's part of the observation."""
+
+    def measure(self) -> dict[str, float]:
+        """The values of `measures` at the end of an episode, by name; as `Task.measure`."""
+
+
+FINAL_DISTANCE = Measure("final_distance", "m", "smaller", "distance from the goal at the end of the episode")
+
+
+class Task(ABC):
+    """A task plugin: the objects in the world, the goal and its rule. Its settings have `max_steps`.
+
+    Order of calls: `fit` (sets `goal_rule` and the layouts that depend on the robot), `build` once; per episode `reset`
+    after the robot's; per step `read` after the robot's, then `observe`, `lost`, `achieved`.
+    The docstring of a task has these headings: What to do, What is randomised, Observation, Action, Goals, Reward, What
+    counts as success, Termination.
+    """
+
+    Settings: ClassVar[type[BaseModel]]
+    settings: Any
+    """As the spec has them."""
+    drawn: Any
+    """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
+    uses_gripper: ClassVar[GripperUse]
+    """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": it stays
+    closed around what the task puts between its fingers, and no action opens it."""
+    fingers: ClassVar[float] = 0.0
+    """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
+    control: ClassVar[ControlMode] = "cartesian"
+    """What the actions of a robot change if its settings do not say: joint positions (joint), the position of a tool
+    that points down (cartesian), its whole pose (pose), or that of a spring that moves the tool (impedance)."""
+    protective_stop: ClassVar[bool] = True
+    """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
+    camera: Camera = Camera()
+    """Where pictures are taken from if the arm stands at the origin. Nothing that moves leaves the picture."""
+    observation: Layout = Layout()
+    """The task's part of the observation, without the goals; may depend on the settings."""
+    critic_only: ClassVar[Layout] = Layout()
+    """What critics may observe besides, and no policy: a spec chooses from it by `environment.critic_observes`."""
+    extra_reward_range: tuple[float, float] = (0.0, 0.0)
+    """Smallest and largest `extra_reward`."""
+    achieved_goal: Layout
+    desired_goal: Layout
+    measures: ClassVar[tuple[Measure, ...]] = ()
+    """What an episode is measured by, besides what the environment adds for every robot and goal rule."""
+    distance_measure: ClassVar[Measure] = FINAL_DISTANCE
+    """What the goal rule's distance at the end of an episode is called, if the rule has one."""
+
+    goal: FloatArray
+    """The goal of the running episode: (desired_goal.size,)."""
+    goal_rule: GoalRule
+
+    def __init__(self, settings: Any) -> None:
+        self.settings = self.drawn = settings
+        self.goal = np.zeros(self.desired_goal.size, np.float32)
+
+    @property
+    def engine_needs(self) -> Mapping[str, Ability]:
+        """What not every engine can do and this task needs, by the setting that asks for it, as a spec calls it."""
+        return {}
+
+    @property
+    def max_steps(self) -> int:
+        """Control steps per episode."""
+        return int(self.settings.max_steps)
+
+    @abstractmethod
+    def fit(self, robot: RobotView) -> None:
+        """Check the settings against the robot. Raises UsageError when the two are incompatible."""
+
+    def build(self, world: World) -> None:  # noqa: B027 (a task may have no objects)
+        """Add objects and markers to the world."""
+
+    @abstractmethod
+    def reset(self, generator: Generator) -> None:
+        """Place objects and an unsolved goal. Raises RunError when no such goal is found."""
+
+    def read(self) -> None:  # noqa: B027 (a task may have no objects)
+        """Read the state of the objects from the world after a physics step."""
+
+    def observe(self) -> list[float]:
+        """The task's part of the observation."""
+        return []
+
+    def observe_for_critics(self) -> list[float]:
+        """The numbers of `critic_only`."""
+        return []
+
+    def extra_reward(self) -> float:
+        """What is added to the goal rule's reward of this step, whatever the goal: hindsight keeps it as it is."""
+        return 0.0
+
+    @abstractmethod
+    def achieved(self) -> FloatArray:
+        """The achieved goal (achieved_goal.size,), a new array."""
+
+    def measure(self) -> dict[str, float]:
+        """The values of `measures` at the end of an episode, by name; one that is left out or not finite is undefined.
+
+        Called after `read`, if the physics has not diverged.
+        """
+        return {}
+
+    def expert(self) -> Expert | None:
+        """A scripted policy, or None for a task without one. Called after `build`."""
+        return None
+
+    def strokes(self) -> Sequence[Stroke]:
+        """Lines and arrows that a picture shows besides bodies and markers. Called for each picture, after `read`."""
+        return ()
+
+    def lost(self) -> bool:
+        """Whether the physics diverged, e.g. an object is far away: the episode is truncated."""
+        return False
+
+    def over(self) -> bool:
+        """Whether the arm can change nothing any more: the episode is truncated.
+
+        A parameter that training draws should decide it, so that tests play on.
+        """
+        return False
+
+    @property
+    def parameters(self) -> Mapping[str, RandomizedParameter]:
+        """What domain randomization may change, by name: the world, and settings that are marked with `Drawn`."""
+        return {**WORLD_PARAMETERS, **drawn_settings(self.settings)}
+
+    def apply(self, world: World, name: str, value: float) -> None:
+        """Set a parameter for the next episode; called before `reset`. Settings are read from `drawn`."""
+        if name == "gravity":
+            world.set_gravity(value)
+        elif name == "floor_friction":
+            world.set_floor_friction(value)
+        else:
+            self.drawn = self.drawn.model_copy(update={name: value})
+
+
+WORLD_PARAMETERS: Mapping[str, RandomizedParameter] = {
+    "gravity": RandomizedParameter("m/s2", GRAVITY, -20.0, 0.0, "along z"),
+    "floor_friction": RandomizedParameter("1", FLOOR_FRICTION, 0.0, 5.0, "lateral friction coefficient of the floor"),
+}
