@@ -150,7 +150,7 @@ def unreadable() -> tuple[str, ...]:
 
 
 def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
-    """The entry points of a distribution. Raises whatever its files cause."""
+    """The entry points of a distribution. Raises any error that its files cause."""
     place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
     file = str(place / "entry_points.txt") if place else ""
     if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
@@ -172,7 +172,7 @@ importlib.metadata.Distribution.entry_points = property(_readable_points)  # typ
 
 @cache
 def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
-    """All plugins, and what cannot be read. It takes 20 ms, so it is done once per process."""
+    """All plugins, and a line for each unreadable file. It takes 20 ms, so it is done once per process."""
     found: dict[str, set[PluginEntry]] = {}  # of two copies of a distribution the first on Python's path counts
     problems: list[str] = []
     for dist in importlib.metadata.distributions():

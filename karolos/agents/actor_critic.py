@@ -1,4 +1,4 @@
-"""What SAC, DDPG and TD3 share: a policy of continuous actions, critics of it, exploration, and their state."""
+"""The common part of SAC, DDPG and TD3: a policy of continuous actions, its critics, exploration, and their state."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class ActorCriticSettings(OptimiserSettings):
 
 
 class Critic:
-    """What the critics' outputs (members, n, columns) mean: the value. The smallest one counts.
+    """Critics whose outputs (members, n, columns) are values. The smallest one counts.
 
     Source: Fujimoto et al. 2018, equation 10.
     """
@@ -110,7 +110,7 @@ class ActorCritic(TorchAgent):
     policy_columns: ClassVar[int] = 1
     """Outputs of the policy network per action column."""
     critic_kind: Critic = Critic()
-    """What the critics' outputs mean."""
+    """The meaning of the critics' outputs."""
 
     def __init__(self, settings: Any, signature: Signature, seeds: SeedTree, device: str = "cpu") -> None:
         if isinstance(signature.action, Discrete):

@@ -34,7 +34,7 @@ class Normaliser:
         columns: how many.
         device: where the statistics live.
         clip: normalised columns are clipped to +- this.
-        missing: of the columns, those with what is missing of a goal.
+        missing: the columns with desired minus achieved goal.
         fine: factor of these columns over their spread; not the clip but tanh bounds them.
     """
 
@@ -113,7 +113,7 @@ class Normaliser:
 class TensorBatch(NamedTuple):
     """A batch on the device. Observation and goal stand side by side, normalised: the input of a network.
 
-    The critics' inputs also have what critics alone observe, behind the policy's columns.
+    The critics' inputs also have the columns that critics alone observe, behind the policy's.
     """
 
     both_inputs: Tensor

@@ -1,4 +1,4 @@
-"""What the agents of karolos share: seeds, device, inputs, optimisers and state."""
+"""The common part of karolos's agents: seeds, device, inputs, optimisers and state."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class TorchAgent(Agent[Experience]):
     """Attributes that learning or acting depends on: tensors, counters, and parts with `state` and `load_state`."""
     optimisers: dict[str, Adam]
     critics_see_more: ClassVar[bool] = False
-    """Whether critics use what `environment.critic_observes` names."""
+    """Whether critics use the fields of `environment.critic_observes`."""
     arrays: ClassVar[int] = 8
     """Arrays of the size of a network that it holds: parameters, targets, gradients, moments of Adam. Measured."""
 

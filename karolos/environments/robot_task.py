@@ -62,7 +62,7 @@ class RobotTask(Environment):
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
         critic_observes: tuple[str, ...] = Setting(
-            (), description="what critics observe besides and no policy does: fields that the task offers for that"
+            (), description="further fields that critics alone observe, of those that the task offers"
         )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
@@ -86,7 +86,7 @@ class RobotTask(Environment):
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
-        """What randomization may change, by name with the part in front."""
+        """The parameters that randomization may change, by name with the part in front."""
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []

@@ -32,7 +32,7 @@ class RandomizedParameter:
 
     @property
     def allowed(self) -> str:
-        """What may be written, for a message."""
+        """The allowed range, for a message."""
         return f"allowed is {self.low:g} to {self.quantity(self.high)}"
 
     def quantity(self, value: float) -> str:

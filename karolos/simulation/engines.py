@@ -1,4 +1,4 @@
-"""The physics engines: what each needs and can do, and worlds of a named one."""
+"""The physics engines: their needs and abilities, and worlds of a named one."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ CALLED: dict[Ability, str] = {
 
 
 class PhysicsEngine(NamedTuple):
-    """What there is to know of an engine without its world."""
+    """The facts of an engine, known without a world."""
 
     name: Engine
     module: str

@@ -27,7 +27,7 @@ from .parts import Mechanism
 from .shapes import Inertia, Shape
 
 Ability = Literal["impedance", "suction", "materials", "window"]
-"""What not every engine can do: springs at tools, cups, surfaces that give way as told, a window that shows a world."""
+"""An ability that not every engine has: springs at tools, cups, surfaces of given stiffness, a window."""
 PHYSICS_RATE: Final = 240
 """Physics steps per second, if nothing else is said."""
 GRAVITY = -9.81
@@ -54,7 +54,7 @@ class Camera:
 
 
 class Stroke(NamedTuple):
-    """What a picture shows besides bodies: a line through points in m, or an arrow from the first to the last."""
+    """A mark in a picture: a line through points in m, or an arrow from the first to the last."""
 
     points: Sequence[Vector]
     colour: Colour
@@ -82,7 +82,7 @@ class JointLimits:
         return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
 
     def name(self, joint: int) -> str:
-        """What a person calls a joint, given its index: its name, or its number from 1."""
+        """The name of a joint in messages, given its index; its number from 1 if it has none."""
         return self.names[joint] if self.names else str(joint + 1)
 
 
@@ -142,7 +142,7 @@ Frame = tuple[Vector, Quaternion]
 class Spring(NamedTuple):
     """A spring and damper between a tool and its set point: F = K e - D v, up to the torques of the joints.
 
-    The weight of the arm is compensated. D follows from K and from what the tool weighs at home, for each direction.
+    The weight of the arm is compensated. D follows from K and from the mass of the tool at home, for each direction.
     """
 
     stiffness: float
@@ -305,7 +305,7 @@ class Motors(Protocol):
         """Set the set point of the spring in m, and how it moves in the next control step, in m/s and rad/s."""
 
     def wrench(self) -> Sequence[float]:
-        """What contacts do to the tool and what moves with it: force in N and torque in N m at the tool, in its frame.
+        """The wrench of contacts on the tool and its load: force in N and torque in N m at the tool, in its frame.
 
         Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not: it
         is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first question on.
@@ -410,7 +410,7 @@ class World(Protocol):
         """The contact points between `link` of the first body and any link of the second."""
 
     def forces(self, body: Body) -> dict[tuple[int, int], float]:
-        """What presses on a body: the largest total normal force in N in a physics step of the last control step.
+        """The forces on a body: the largest total normal force in N in a physics step of the last control step.
 
         The key is the body's link and the index of the other body. It is the body's own index where two of its links
         touch; both then have an entry. Forces that were zero throughout are left out.
@@ -442,14 +442,14 @@ ControlMode = Literal["joint", "cartesian", "pose", "impedance"]
 
 @dataclass(frozen=True)
 class TaskNeeds:
-    """What a task asks of a robot."""
+    """The demands of a task on a robot."""
 
     gripper: GripperUse
     """Whether it uses the gripper, see `Task.uses_gripper`."""
     period: float
     """Duration of a control step in s."""
     control: ControlMode = "cartesian"
-    """What actions change unless the robot's settings say otherwise, see `Task.control`."""
+    """The default of the robot's control mode, see `Task.control`."""
     protective_stop: bool = False
     """Whether the robot stops protectively unless its settings say otherwise."""
     fingers: float = 0.0
@@ -517,7 +517,7 @@ class RobotView(Protocol):
     """Whether a protective stop has ended the running episode."""
 
     wrench: Sequence[float]
-    """What contacts do to the gripper and what it holds, as a sensor at the wrist feels it: force in N and torque in
+    """The wrench of contacts on the gripper and its load, as a sensor at the wrist feels it: force in N and torque in
     N m at the tool centre point, in the tool's frame, low-passed; zero at a reset."""
     joint_torques: Sequence[float]
     """Torques of the motors in the last physics step, in N m: (n,)."""
@@ -532,7 +532,7 @@ class RobotView(Protocol):
         """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
-        """The values with the observation noise of the episode, for what a task observes of its objects."""
+        """The values with the observation noise of the episode, for a task that observes its objects."""
 
     def pads_touching(self, body: Body) -> int:
         """Number of pads (0, 1, 2) in contact with the body; 2 for one that a cup holds."""
@@ -577,16 +577,16 @@ class Robot(RobotView, Protocol):
     Settings: ClassVar[type[BaseModel]]
 
     parameters: Mapping[str, RandomizedParameter]
-    """What domain randomization may change, by name."""
+    """The parameters that domain randomization may change, by name."""
     observation: Layout
     action: Layout
     stops: int
     """Number of protective stops in the running episode, those that are only counted included."""
     measures: Sequence[Measure]
-    """What it measures an episode by; may depend on `prepare`."""
+    """The robot's measures of an episode; may depend on `prepare`."""
 
     engine_needs: Mapping[str, Ability]
-    """What not every engine can do and it needs, by the setting that asks for it, as a spec calls it."""
+    """The abilities that it needs of an engine, by the setting that asks for them, as a spec calls it."""
 
     def prepare(self, needs: TaskNeeds) -> None:
         """Adapt layouts and step sizes to a task.
@@ -639,8 +639,8 @@ class Task(ABC):
     fingers: ClassVar[float] = 0.0
     """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
     control: ClassVar[ControlMode] = "cartesian"
-    """What the actions of a robot change if its settings do not say: joint positions (joint), the position of a tool
-    that points down (cartesian), its whole pose (pose), or that of a spring that moves the tool (impedance)."""
+    """The default of the robot's control mode. Actions change joint positions (joint), the position of a tool that
+    points down (cartesian), its whole pose (pose), or the set point of a spring that moves the tool (impedance)."""
     protective_stop: ClassVar[bool] = True
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: Camera = Camera()
@@ -648,15 +648,15 @@ class Task(ABC):
     observation: Layout = Layout()
     """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
-    """What critics may observe besides, and no policy: a spec chooses from it by `environment.critic_observes`."""
+    """Further fields for critics alone. A spec chooses from them by `environment.critic_observes`."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest `extra_reward`."""
     achieved_goal: Layout
     desired_goal: Layout
     measures: ClassVar[tuple[Measure, ...]] = ()
-    """What an episode is measured by, besides what the environment adds for every robot and goal rule."""
+    """The task's measures of an episode. The environment adds those of every robot and goal rule."""
     distance_measure: ClassVar[Measure] = FINAL_DISTANCE
-    """What the goal rule's distance at the end of an episode is called, if the rule has one."""
+    """The measure of the goal rule's distance at the end of an episode, if the rule has one."""
 
     goal: FloatArray
     """The goal of the running episode: (desired_goal.size,)."""
@@ -668,7 +668,7 @@ class Task(ABC):
 
     @property
     def engine_needs(self) -> Mapping[str, Ability]:
-        """What not every engine can do and this task needs, by the setting that asks for it, as a spec calls it."""
+        """The abilities that it needs of an engine, by the setting that asks for them, as a spec calls it."""
         return {}
 
     @property
@@ -699,7 +699,7 @@ class Task(ABC):
         return []
 
     def extra_reward(self) -> float:
-        """What is added to the goal rule's reward of this step, whatever the goal: hindsight keeps it as it is."""
+        """The part of this step's reward that does not depend on the goal. Hindsight does not change it."""
         return 0.0
 
     @abstractmethod
@@ -734,7 +734,7 @@ class Task(ABC):
 
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
-        """What domain randomization may change, by name: the world, and settings that are marked with `Drawn`."""
+        """The parameters that domain randomization may change: those of the world, and settings marked with `Drawn`."""
         return {**WORLD_PARAMETERS, **drawn_settings(self.settings)}
 
     def apply(self, world: World, name: str, value: float) -> None:

@@ -56,7 +56,7 @@ class Eye(NamedTuple):
     """Vertical, in degrees."""
     near: float = 0.1
     far: float = 20.0
-    """Only what lies between these distances ahead, in m, is seen."""
+    """The camera sees only bodies between these distances ahead, in m."""
 
 
 Renderer = Callable[[Eye, int, int], tuple[NDArray[np.uint8], FloatArray]]
@@ -74,12 +74,12 @@ class Marker(NamedTuple):
 
     @property
     def lies(self) -> bool:
-        """Whether it touches the floor, where a disc reads better than what is left of a sphere."""
+        """Whether it touches the floor, where a disc reads better than a part of a sphere."""
         return self.position[2] <= self.radius
 
 
 class View(NamedTuple):
-    """What a camera sees of an empty world; height h, width w."""
+    """The view of an empty world; height h, width w."""
 
     eye: Eye
     axes: FloatArray
@@ -213,7 +213,7 @@ def _shadow(render: Renderer, view: View) -> FloatArray:
 
 
 def _rings(marker: Marker, view: View) -> Iterator[Stroke]:
-    """What outlines a marker: on the floor, or towards the camera and with a line down to the floor below it."""
+    """The outlines of a marker: on the floor, or towards the camera and with a line down to the floor below it."""
     (x, y, z), radius, colour = marker
     turn = np.linspace(0.0, 2 * pi, 49)
     circle = radius * np.stack((np.cos(turn), np.sin(turn), np.zeros(49)), -1)

@@ -167,7 +167,7 @@ _WRITTEN = re.compile(
     r"(?:^|_)(?:logs?|outputs?|out|saves?|videos?|films?|monitor|cache|te?mp|results?)"
     r"(?:_?(?:dir|folder|path|file|to|root)\w*)?(?:_|$)"
 )
-"""Names of settings for what an environment writes: its content is no part of an experiment."""
+"""Names of settings for files that an environment writes. Their content is no part of an experiment."""
 
 
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
@@ -253,11 +253,11 @@ class Spec(Settings):
         return {key: value for key, value in given.items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without what is not a run's own: sweep, transfer and launcher."""
+        """This spec without sweep, transfer and launcher, which are not a run's own."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
     def files(self) -> dict[str, str]:
-        """The files that settings name: key path -> SHA-256 (hex) of the file and of what it names (`fingerprint`)."""
+        """The files that settings name: key path -> SHA-256 (hex) of file and files named there (`fingerprint`)."""
         found: dict[str, str] = {}
         _by_content(self._identity(), found)
         return found

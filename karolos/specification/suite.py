@@ -31,7 +31,7 @@ class SuiteEntry(Settings):
 
 
 class SuiteFile(Settings):
-    """What a suite file contains. An entry of `specs` may be the spec alone."""
+    """The content of a suite file. An entry of `specs` may be the spec alone."""
 
     name: Name = Setting(description="default: the file's name")
     specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="what is trained")
@@ -53,7 +53,7 @@ class Suite:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the overrides leave out: settings that files give and that have no place now, and whole specs."""
+        """One line for each setting or spec that is left out because of the overrides."""
         dropped = defaultdict[str, list[str]](list)
         for spec in self.specs:
             if lost := ", ".join(_lost(self.written[spec.name].given(), spec.given())):

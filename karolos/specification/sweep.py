@@ -79,7 +79,7 @@ MOST_COMBINATIONS = 100_000
 
 
 def directions(objectives: Sequence[str], measures: Sequence[Measure]) -> tuple[Direction, ...]:
-    """maximize or minimize, for each objective, given the environment's measures, which say what is better.
+    """maximize or minimize, for each objective. The environment's measures say which values are better.
 
     Raises UsageError for a measure that the environment does not declare.
     """

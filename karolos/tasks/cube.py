@@ -29,7 +29,7 @@ BRAKING_SHARE = 0.5
 
 
 def fields(name: str) -> tuple[Field, ...]:
-    """What is observed of an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
+    """The observed fields of an object. The rotation is the first two columns of its matrix, see `geometry.columns`."""
     return (
         Field(f"{name}_position", 3, "m", kind="point"),
         Field(f"{name}_rotation", 6, kind="rotation"),
@@ -364,7 +364,7 @@ class Carrier:
         return self._enclosed() and (self._held >= CLOSING_STEPS or self._robot.pads_touching(self._cube.body) == 2)
 
     def act(self, goal: Vector, floor: float = 0.0) -> FloatArray:
-        """The next action. `floor`: height in m of what stands on the floor, above which it stays on its ways."""
+        """The next action. `floor`: height in m of things on the floor; the hand stays above it on its way."""
         robot, (x, y, z), (tx, ty, tz) = self._robot, self._cube.position, self._robot.tool_position
         grip: Vector = (x, y, max(z + self._grip_height, robot.workspace.low[2]))
         if self._closing:

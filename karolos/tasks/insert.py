@@ -48,7 +48,7 @@ SCALES = (0.004, 0.001)
 TURN_SCALE = 0.05
 """The same in rad."""
 TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
-"""What a hole that is not known exactly adds to the observation, and its scales in N, m, m and N m."""
+"""Field that is also observed if the hole is not known exactly, and its scales in N, m, m and N m."""
 
 
 class Insertion(GoalRule):
@@ -99,7 +99,7 @@ class Insert(Task):
     peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
     wrist's), overloaded (1, whether a force was too large); where the hole is not known exactly also touch (4, tanh of
     the force on the tip from below, of the place of its middle from the tip along x and y, and of the torque about the
-    vertical, at fine scales). For critics alone: hole_error (3, m and rad: what is not known), peg_forces (2, N:
+    vertical, at fine scales). For critics alone: hole_error (3, m and rad: error of the known hole), peg_forces (2, N:
     largest on the peg and on the arm).
     Action: the robot's, without the gripper: it stays closed around the peg.
     Goals: achieved, the tip from the hole as it is known (3, m), the peg's turn (3, rad) and whether a force was too
@@ -314,7 +314,7 @@ class Insert(Task):
         return [*values, *near, *felt, float(self.overloaded), *(tanh(value / scale) for value, scale in touch)]
 
     def touch(self) -> tuple[float, float, float, float]:
-        """What the wrist feels at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
+        """The wrench of the wrist at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
         tool, wrench = self._robot.tool, self._robot.wrench
         force, arm = rotated(tool.orientation, wrench[:3]), _sum(self.tip, tool.position, sign=-1)
         up, (x, y, z) = force[2], _sum(rotated(tool.orientation, wrench[3:]), _cross(arm, force), sign=-1)
@@ -357,10 +357,10 @@ TURNING, TURNING_INSIDE, MOST_TURN = 0.2, 0.05, 0.015
 
 
 class InsertExpert(Expert):
-    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to what it feels.
+    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to forces.
 
     A peg that rests on the rim is pressed from below on the side away from the hole, so it goes to the other. One that
-    rests on the chamfer is turned by it towards the position that fits. What it does depends on the current step alone.
+    rests on the chamfer is turned by it towards the position that fits. Each action depends on the current step alone.
     """
 
     def __init__(self, robot: RobotView, task: Insert) -> None:

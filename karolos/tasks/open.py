@@ -294,7 +294,7 @@ class OpenExpert(Expert):
 
 
 def _body(middle: float) -> Link:
-    """What stands on the floor behind the front: four boards around a drawer or behind a door.
+    """The fixed part on the floor: four boards around a drawer or behind a door.
 
     Args:
         middle: of the piece, in m to the side of the origin.

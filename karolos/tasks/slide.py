@@ -254,7 +254,7 @@ NUDGE = 0.1
 SPEED_UP = 0.12
 """m/s by which the tool is told to be faster than the puck at the most."""
 GAIN = 0.35
-"""Share of a missing velocity that is added to what the tool is told in each control step."""
+"""Share of a missing velocity that is added to the commanded one in each control step."""
 ENOUGH = 0.99
 """Share of the speed that the puck needs at which it is let go."""
 

@@ -28,11 +28,11 @@ class Landing(GoalRule):
     """Success where a thrown object lands nearer than `threshold` to the target, in m; landing ends the episode.
 
     `achieved` (..., 3) is the object's position on the floor (2) in m and a status: 0 in the hand or in the air, 1
-    landed after a release, -1 a failure whatever the target, such as an object put on the floor. `desired` (..., 2) is
+    landed after a release, -1 a failure for every target, such as an object put on the floor. `desired` (..., 2) is
     the target in m.
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
-    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure whatever the target
+    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure for every target
     costs `failure_cost`. A miss is worth 0 as well, so nothing else would tell a policy to keep off the floor.
     """
 

@@ -206,7 +206,7 @@ class Gymnasium(Environment):
         return self._last
 
     def _parts(self, found: Any, method: str, names: str) -> tuple[Any, ...]:
-        """What a method of the environment returned; of its first steps the observation is compared with the space."""
+        """Check the result of a method; of the first steps compare the observation with its space as well."""
         count = names.count(",") + 1
         if not isinstance(found, tuple) or len(found) != count or not isinstance(found[-1], Mapping):
             raise self._broken(f"{method} returns no tuple ({names}) with a dict at its end")
@@ -272,7 +272,7 @@ class Gymnasium(Environment):
 
 
 def make_environment(settings: Gymnasium.Settings) -> Any:
-    """What `gymnasium.make` makes, without its limit of steps. Raises UsageError or MachineError."""
+    """The environment of `gymnasium.make`, without its limit of steps. Raises UsageError or MachineError."""
     import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
 
     if (module := settings.id.rpartition(":")[0]) and (run := _run_that_holds(module)):
@@ -343,7 +343,7 @@ def _registered_steps(name: str) -> int | None:
 
 
 def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
-    """What is observed: all of the space, or all but the goals."""
+    """The observed space: all, or all but the goals."""
     from gymnasium import spaces  # noqa: PLC0415
 
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)

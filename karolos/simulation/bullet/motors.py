@@ -195,7 +195,7 @@ class BulletMotors:
         self._share = 1 - exp(-self._timestep / seconds) if seconds else 1.0
 
     def feel(self, share: float | None = None) -> None:
-        """Take what contacts did to the hand in the last physics step into the wrench, with its low-pass's share."""
+        """Update the low-passed wrench by the contacts of the hand in the last physics step."""
         if self._tool is None:
             return
         share = self._share if share is None else share

@@ -241,7 +241,7 @@ class MujocoWorld:
         return self._pressing(body, self._simulation.largest)
 
     def _pressing(self, body: Body, between: FloatArray) -> dict[tuple[int, int], float]:
-        """What presses on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
+        """The forces on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
         own, found = self._bodies[body.index], dict[tuple[int, int], float]()
         bodies = {place: one.index for one in self._bodies for place in one.ids}
         links = {place: link for link, place in enumerate(own.ids, -1)}
