@@ -3,7 +3,7 @@
 The command line prints them without a traceback and ends with the error's exit code.
 Any other exception is a bug in karolos and keeps its traceback. One in a third party's plugin becomes a PluginError
 at the plugin's line (`registry.blaming`); in the environments of a run it keeps its traceback, too.
-What is said or recorded shows no secrets: `recorded` and `redact` decide what looks like one.
+Messages and records show no secrets: `recorded` and `redact` decide which texts look like one.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 LONGEST = 1000
-"""Most characters that an error says of what is wrong: a value that it repeats may have any length."""
+"""Largest length of an error's text in characters: a value that it repeats may have any length."""
 
 
 _PATH = re.compile(
@@ -55,7 +55,7 @@ def is_secret(key: str) -> bool:
 
 
 def redact(text: str) -> str:
-    """Replace what looks like a secret by `***`; in doubt, too much is replaced."""
+    """Replace each text that looks like a secret by `***`; in doubt, too much is replaced."""
     for pattern in _SECRETS:
         text = pattern.sub("***", text)
     return _OPTION.sub(r"\1***", _ASSIGNED.sub(_hidden, text))
@@ -73,7 +73,7 @@ def _hidden(found: re.Match[str]) -> str:
 
 
 def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
-    """JSON as records hold it: with `***` in place of what looks like a secret, and maybe without folders of paths."""
+    """JSON as records hold it: with `***` in place of secrets, and maybe without folders of paths."""
     if isinstance(value, Mapping):
         return {name: recorded(one, name, folders=folders) for name, one in value.items()}
     if isinstance(value, list | tuple):
@@ -132,10 +132,10 @@ def _line(where: object, setting: str | None, what: str, hint: str | None) -> st
 
 
 def described(error: BaseException) -> str:
-    """Class and first line of an exception of anybody's."""
+    """Class and first line of any exception."""
     try:
         lines = str(error).strip().splitlines()
-    except Exception:  # its text is anybody's as well
+    except Exception:  # __str__ may raise anything
         lines = []
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
 

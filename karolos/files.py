@@ -29,15 +29,15 @@ _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
 MOST_FILES, MOST_BYTES = 20_000, 1 << 32
-"""Of a folder that counts by its content; a larger one counts by its name."""
+"""Largest folder that counts by its content; a larger one counts by its name."""
 LARGE_FILE, SAMPLES, SAMPLE = 1 << 26, 256, 1 << 16
-"""Bytes; a larger file counts by its size and so many parts of so many bytes, so that specs stay fast."""
+"""A file of more bytes counts by its size and by SAMPLES parts of SAMPLE bytes, so that specs stay fast."""
 _NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py", ".json", ".toml", ".yaml", ".yml")
 _NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
 _UNQUOTED = re.compile(r"""[:-][ \t]+([^\s"'#]{1,300}\.\w{1,8})[ \t]*$""", re.MULTILINE)
 """A name in YAML."""
 _JOINED = re.compile(r"""["']\s*[,/]\s*f?["']|\{\w+\}/""")
-"""What joins the parts of a path in Python, or stands before it in an f-string."""
+"""Text between the parts of a path in Python, or before it in an f-string."""
 _FOLDER = re.compile(r"""\b(?:mesh|asset)dir\s*=\s*["']([^"'<>]{1,300})["']""")
 """Where an MJCF file says that its meshes are."""
 _IMPORTED = re.compile(r"^[ \t]*(?:from|import)[ \t]+(\w[\w., \t]*)", re.MULTILINE)
@@ -177,7 +177,7 @@ def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
 
 @lru_cache(maxsize=2 * MOST_FILES)
 def _content(path: str, _: int, size: int, *__: int) -> tuple[str, tuple[str, ...]]:
-    """SHA-256 (hex) of a file, and what it names; packages end in /. The numbers change with the file."""
+    """SHA-256 (hex) of a file, and the names in it; packages end in /. The numbers change with the file."""
     with open(path, "rb") as file:
         if size > LARGE_FILE:
             digest = hashlib.sha256(str(size).encode())
@@ -203,7 +203,7 @@ def _content(path: str, _: int, size: int, *__: int) -> tuple[str, tuple[str, ..
 
 
 def remove_leftovers(folder: Path, pattern: str) -> None:
-    """Remove files and folders that dead processes of this user left; what cannot be removed stays.
+    """Remove files and folders that dead processes of this user left, if they can be removed.
 
     Args:
         folder: where they are.
@@ -338,7 +338,7 @@ def read_values(path: Path, parse: Callable[[bytes], T | None], what: str) -> Li
 def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
     """The JSON objects of the complete lines from byte `start` on, and where they end. A missing file is empty.
 
-    A file that is shorter was cut there: what is written next is new.
+    A shorter file was cut: its next line is new.
     """
     try:
         with path.open("rb") as file:
@@ -429,7 +429,7 @@ def locked(path: Path, refusal: KarolosError | None = None, seconds: float | Non
     Args:
         path: of the file.
         refusal: is raised if another process keeps it locked; None: a MachineError.
-        seconds: how long to wait; None: LOCK_SECONDS, for what processes lock for milliseconds.
+        seconds: how long to wait; None: LOCK_SECONDS, enough for locks of milliseconds.
 
     Raises:
         MachineError: the file cannot be created.

@@ -150,7 +150,7 @@ def unreadable() -> tuple[str, ...]:
 
 
 def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
-    """The entry points of a distribution. Raises whatever its files cause."""
+    """The entry points of a distribution. Raises any error that its files cause."""
     place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
     file = str(place / "entry_points.txt") if place else ""
     if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
@@ -161,7 +161,7 @@ def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPo
 def _readable_points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
     try:
         return _points(dist)
-    except Exception:  # files of anybody
+    except Exception:  # a file may have any content
         return importlib.metadata.EntryPoints(())
 
 
@@ -172,7 +172,7 @@ importlib.metadata.Distribution.entry_points = property(_readable_points)  # typ
 
 @cache
 def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
-    """All plugins, and what cannot be read. It takes 20 ms, so it is done once per process."""
+    """All plugins, and a line for each unreadable file. It takes 20 ms, so it is done once per process."""
     found: dict[str, set[PluginEntry]] = {}  # of two copies of a distribution the first on Python's path counts
     problems: list[str] = []
     for dist in importlib.metadata.distributions():
@@ -181,7 +181,7 @@ def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
             points = [
                 (GROUPS[point.group], point.name, point.value) for point in _points(dist) if point.group in GROUPS
             ]
-        except Exception as error:  # files of anybody
+        except Exception as error:  # a file may have any content
             problems.append(f"{place}: its entry points cannot be read: {_text(error)}")
             continue
         name, _, version = getattr(place, "stem", "?").partition("-")

@@ -24,8 +24,7 @@ from karolos.evaluation.policies import Policy, load_expert
 from karolos.evaluation.testing import test_seeds
 from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import ENGINES, Engine, make_world
-from karolos.simulation.interface import JointLimits
-from karolos.simulation.interface.engine import Contact
+from karolos.simulation.interface import Contact, JointLimits
 from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Cuboid, Cylinder
 from karolos.specification import load_spec

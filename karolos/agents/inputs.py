@@ -34,7 +34,7 @@ class Normaliser:
         columns: how many.
         device: where the statistics live.
         clip: normalised columns are clipped to +- this.
-        missing: of the columns, those with what is missing of a goal.
+        missing: the columns with desired minus achieved goal.
         fine: factor of these columns over their spread; not the clip but tanh bounds them.
     """
 
@@ -53,7 +53,7 @@ class Normaliser:
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
         self._squares = torch.zeros(columns, dtype=torch.float64, device=device)
         self.shift = torch.zeros(columns, device=device)
-        """Of `(x - shift) * scale`: float32, (columns,)."""
+        """The shift in `(x - shift) * scale`: float32, (columns,)."""
         self.scale = torch.ones(columns, device=device)
 
     @property
@@ -113,7 +113,7 @@ class Normaliser:
 class TensorBatch(NamedTuple):
     """A batch on the device. Observation and goal stand side by side, normalised: the input of a network.
 
-    The critics' inputs also have what critics alone observe, behind the policy's columns.
+    The critics' inputs also have the columns that critics alone observe, behind the policy's.
     """
 
     both_inputs: Tensor
@@ -125,9 +125,9 @@ class TensorBatch(NamedTuple):
     action: Tensor
     reward: Tensor
     discount: Tensor
-    """Of the next state's value; 0 after a terminated transition."""
+    """The discount of the next state's value; 0 after a terminated transition."""
     weight: Tensor
-    """Of each transition in a loss: its importance weight / n. A loss is the weighted sum over the batch."""
+    """The weight of each transition in a loss: importance weight / n. A loss is the weighted sum over the batch."""
     demonstrated: Tensor | None
     """1 where the action is to be imitated, else 0: (n,)."""
 

@@ -50,7 +50,7 @@ class Affine(NamedTuple):
 
 
 class Tape(NamedTuple):
-    """What a forward pass leaves for the backward pass."""
+    """The values of a forward pass that the backward pass needs."""
 
     activations: list[Tensor]
     """The input of each hidden layer and the output of the last one: (n, units) each."""

@@ -101,7 +101,7 @@ class MLP:
         ]
 
     def _with_last(self, rounded: Tensor, exact: list[list[Affine]]) -> list[list[Affine]]:
-        """Of each member: hidden layers as views of `rounded`, and the last one of `exact`."""
+        """The layers of each member: hidden ones as views of `rounded`, the last one of `exact`."""
         return [hidden + layers_[-1:] for hidden, layers_ in zip(self._layers_in(rounded), exact, strict=True)]
 
     @property

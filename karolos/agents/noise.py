@@ -76,7 +76,7 @@ class Noise:
         self._interval = settings.interval or INTERVAL
         rows = {"gaussian": 0, "ornstein_uhlenbeck": 1, "state_dependent": inputs + 1}[settings.kind]
         self._memory = torch.zeros((0, rows, actions), device=device)
-        """Of each environment: the last noise, or the matrix."""
+        """The last noise, or the matrix, of each environment."""
         self._age = np.zeros(0, np.int64)
         """Draws so far in each environment's episode."""
 

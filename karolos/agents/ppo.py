@@ -39,12 +39,12 @@ class RolloutBatch(NamedTuple):
     inputs: Tensor
     action: Tensor
     log_probability: Tensor
-    """Of the action under the policy that collected it."""
+    """Log probability of the action under the policy that collected it."""
     advantage: Tensor
     value: Tensor
     """Under the value network before it learns from the rollout."""
     target: Tensor
-    """Of the value: advantage + value."""
+    """Target of the value: advantage + value."""
 
 
 class PPO(TorchAgent[Rollout]):
@@ -287,7 +287,7 @@ class Gaussian:
         return output.clamp(-1, 1)
 
     def log_probability(self, output: Tensor, action: Tensor) -> Tensor:
-        """Of the actions (n, a), a density for continuous ones: (n,)."""
+        """Log probability of the actions (n, a), a density for continuous ones: (n,)."""
         distance = (action - output) * torch.exp(-self.log_std)
         constant = 0.5 * math.log(2 * math.pi) * self.columns
         return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant

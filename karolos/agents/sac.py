@@ -12,11 +12,10 @@ from pydantic import model_validator
 from torch import Tensor
 
 from ..core import Batch, SeedTree, Signature
-from .actor_critic import ActorCritic, ActorCriticSettings, imitation_loss
+from .actor_critic import ActorCritic, ActorCriticSettings, QuantileCritic, Quantiles, imitation_loss
 from .inputs import TensorBatch
 from .noise import NoiseSettings
 from .optimisation import Adam, Metrics, report, saturation
-from .quantiles import QuantileCritic, Quantiles
 from .squashed_gaussian import SquashedActions, squashed
 
 

@@ -13,7 +13,7 @@ from torch.nn import functional
 from .layers import Tape
 
 LOG_STD_BOUNDS = (-5.0, 2.0)
-"""Of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
+"""Bounds of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
 
 
 class SquashedActions(NamedTuple):
@@ -34,7 +34,7 @@ class SquashedActions(NamedTuple):
     noise: Tensor
     """e"""
     tapes: tuple[Tape, ...] = ()
-    """Of the policy network's pass."""
+    """The tapes of the policy network's pass."""
 
     def split(self, count: int) -> tuple[SquashedActions, SquashedActions]:
         """The first `count` rows without tapes, and the others with them."""

@@ -1,4 +1,4 @@
-"""What the agents of karolos share: seeds, device, inputs, optimisers and state."""
+"""The common part of karolos's agents: seeds, device, inputs, optimisers and state."""
 
 from __future__ import annotations
 
@@ -53,8 +53,8 @@ class OptimiserSettings(AgentSettings):
         None,
         gt=0,
         le=100,
-        description="networks also see what is missing of the goal, desired minus achieved, so many times as fine as "
-        "it spreads (bounded by tanh), where observations have what is achieved; null: they do not",
+        description="networks also see desired minus achieved goal, divided by its spread and multiplied by this "
+        "(bounded by tanh), where observations have the achieved goal; null: they do not",
     )
     gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
 
@@ -87,7 +87,7 @@ class TorchAgent(Agent[Experience]):
     """Attributes that learning or acting depends on: tensors, counters, and parts with `state` and `load_state`."""
     optimisers: dict[str, Adam]
     critics_see_more: ClassVar[bool] = False
-    """Whether critics use what `environment.critic_observes` names."""
+    """Whether critics use the fields of `environment.critic_observes`."""
     arrays: ClassVar[int] = 8
     """Arrays of the size of a network that it holds: parameters, targets, gradients, moments of Adam. Measured."""
 

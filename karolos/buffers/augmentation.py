@@ -1,4 +1,4 @@
-"""Transitions as they would be elsewhere on the floor and in a mirror: what is learned here holds there, too.
+"""Moves and mirrors sampled transitions, so that an agent learns for other places on the floor as well.
 
 Source: Lin et al. 2019, "Invariant Transform Experience Replay", arXiv 1909.10707, which mirrors whole episodes. Here
 each sampled transition is mirrored or not, and moved, after hindsight has given it its goal.
@@ -28,7 +28,7 @@ SIGNS: Mapping[Kind, tuple[int, ...]] = {
     "rotation": (1, -1, 1, -1, 1, -1),
     "wrench": (1, -1, 1, -1, 1, -1),
 }
-"""Kind of a field -> what its columns are multiplied by in a mirror at the plane y = 0.
+"""Kind of a field -> factors of its columns in a mirror at the plane y = 0.
 
 A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
 is the same thing if it is symmetric.
@@ -83,7 +83,7 @@ class Augmentation:
             self._axes[columns.slice(name)] = _columns(layout, AXES)
 
     def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
-        """Mirror half of the transitions and move all, each on its own. What hindsight alone needs stays as it is."""
+        """Mirror half of the transitions and move all, each on its own. Columns for hindsight alone do not change."""
         size, settings = len(stored.table), self.settings
         self.batches += 1
         if settings.batches is not None and self.batches > settings.batches:

@@ -156,7 +156,7 @@ class Hindsight:
 def relabelled_reward(
     rule: GoalRule, achieved: Array, old: Array, new: Array, stored: Array, extra: tuple[float, float]
 ) -> FloatArray:
-    """The reward (n,) under new goals: the rule's, and what was added to the rule's under the old goals."""
+    """The reward (n,) under new goals. The part of the stored reward that is not the rule's does not change."""
     reward: FloatArray = rule.reward(achieved, new)
     return reward if extra == (0.0, 0.0) else np.add(reward, stored - rule.reward(achieved, old), dtype=np.float32)
 
@@ -186,7 +186,7 @@ def extend(
         rule: gives reward and `terminated` under relabelled goals; None in environments without goals.
         steps: the largest number of steps.
         discount: per step.
-        extra: range of what the rewards add to the rule's, see `Signature.extra_reward`.
+        extra: range of the rewards' part that is not the rule's, see `Signature.extra_reward`.
 
     Returns:
         discount ** steps taken: (n,) float32.

@@ -76,8 +76,7 @@ class Priority(Replay):
         if demonstrated is None:
             slots = tree.find(strata * (total / size))
             return slots, tree[slots] * (len(self) / total)
-        # The first ones are drawn from the environments' transitions, the others from demonstrations, which have the
-        # last slots.
+        # First the environments' transitions are sampled, then demonstrations, which have the last slots.
         others, first_slot = size - demonstrated, self.storage.environments * self.storage.ring_size
         mass = tree.before(first_slot)
         masses = strata * (mass / max(others, 1))

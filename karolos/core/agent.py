@@ -39,9 +39,9 @@ class Layer:
 class Deployed:
     """A policy without exploration as float32 arrays.
 
-    The input x is the observation o, the desired goal g and what is missing, g[missing[0]] - o[missing[1]], side by
-    side. Then x = (x - shift) * scale, bounded by tanh(x) where it is what is missing and by clip(x, -clip, clip)
-    elsewhere, the layers with max(x, 0) between them, and `output`. With `layer_norm`, each hidden layer is normalised
+    The input x is the observation o, the desired goal g and the missing part g[missing[0]] - o[missing[1]], side by
+    side. Then x = (x - shift) * scale. The missing part is bounded by tanh(x), the rest by clip(x, -clip, clip). The
+    layers with max(x, 0) between them follow, and `output`. With `layer_norm`, each hidden layer is normalised
     before max(x, 0): (x - mean) / sqrt(variance + layer_norm), with mean and variance over the row.
     """
 
@@ -55,7 +55,7 @@ class Deployed:
     layer_norm: float | None = None
     """None: no layer normalisation."""
     missing: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 0), np.int64))
-    """(2, k): columns of the goal, and those of the observation that hold what is achieved of them."""
+    """(2, k): columns of the goal, and columns of the observation with the achieved values of these."""
 
     @classmethod
     def read(cls, path: Path) -> Deployed:
@@ -81,7 +81,7 @@ class Agent(ABC, Generic[Experience]):
 
     Call order. The loop calls `act(explore=True)` for the environments that are ready, and `begin_episodes` before the
     first action of new episodes. It calls `learn` as often as the replay ratio says, or once per complete rollout.
-    Warm-up actions are drawn without the agent. Tests call `act(explore=False)` with any number of rows.
+    Warm-up actions are sampled without the agent. Tests call `act(explore=False)` with any number of rows.
 
     Determinism. Random numbers come from generators made from `seeds`. The same calls give the same results bit for
     bit, also after `load_state(state())` in a new agent. `act(explore=False)` changes no state.
@@ -165,7 +165,7 @@ class Agent(ABC, Generic[Experience]):
         raise UsageError(f"{type(self).__name__} cannot be exported", hint="implement `deployed` in its class")
 
     def adopt(self, policy: Deployed) -> None:  # noqa: ARG002
-        """Act without exploration as an exported policy does; what that does not hold, such as critics, stays.
+        """Act without exploration as an exported policy does. Other parts, such as critics, do not change.
 
         Raises:
             UsageError: this kind of agent cannot take an exported policy.

@@ -37,7 +37,7 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
     """The function, compiled at its first call and kept on disk. One process compiles, and others load.
 
     Args:
-        function: uses what numba knows. A division by zero gives inf or nan.
+        function: in the part of Python that numba compiles. A division by zero gives inf or nan.
         told: whether lines on stderr say that it is compiled, and how long that took.
     """
     dispatcher: Any = njit(**OPTIONS)(function)
@@ -54,7 +54,7 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
         if lock.held:  # by the function that calls this one
             return compile_it(signature)
         try:
-            with suppress(MachineError):  # a file system without locks: whoever comes compiles
+            with suppress(MachineError):  # a file system without locks: each process compiles
                 lock.acquire(WAIT_SECONDS)
             return compile_it(signature)
         finally:
@@ -112,7 +112,7 @@ def _digest(file: str) -> str:
 
 
 class _Locator(UserWideCacheLocator):
-    """Gives a function a folder named by the processor, numba, and the content of its file and of what it calls.
+    """Gives a function a folder named by the processor, numba, and the content of its file and of those that it calls.
 
     So no other version's code is loaded, and installations with the same code share it.
     """

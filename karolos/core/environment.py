@@ -99,5 +99,5 @@ def close(environment: Environment) -> None:
     """Close an environment whose work is done. An error changes no result, and is a line on stderr."""
     try:
         environment.close()
-    except (Exception, SystemExit, KeyboardInterrupt) as error:  # it is anybody's
+    except (Exception, SystemExit, KeyboardInterrupt) as error:  # a plugin may raise anything
         print(f"warning: {type(environment).__name__}.close failed: {described(error)}", file=sys.stderr)

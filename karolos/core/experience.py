@@ -130,4 +130,4 @@ class Rollout(NamedTuple):
 
 
 Experience = TypeVar("Experience", Batch, Rollout, default=Batch)
-"""What a buffer returns and an agent learns from: a Batch, or a Rollout if on-policy."""
+"""The result of `Buffer.sample`, from which an agent learns: a Batch, or a Rollout if on-policy."""

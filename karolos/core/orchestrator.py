@@ -70,7 +70,7 @@ class Orchestrator(ABC):
     """
 
     signature: Signature
-    """Of every environment."""
+    """The signature of every environment."""
     size: int
     """Number of environments."""
 

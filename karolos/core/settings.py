@@ -21,7 +21,7 @@ LATER: Any = {"later": True}
 
 
 def without_later(settings: BaseModel, dumped: dict[str, Any]) -> dict[str, Any]:
-    """What was dumped of settings, without the `LATER` ones at their default: a spec of 0.2 keeps its hash."""
+    """Dumped settings without the `LATER` ones at their default: a spec of 0.2 keeps its hash."""
     kept = dict(dumped)
     for name, field in type(settings).model_fields.items():
         value = getattr(settings, name)

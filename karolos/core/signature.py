@@ -25,12 +25,12 @@ class Field:
     critic_only: bool = False
     """Whether a critic alone may observe it, so that a policy acts without. Such fields stand at the end."""
     kind: Kind | tuple[Kind, ...] | None = None
-    """What becomes of it when everything is moved along the floor or seen in a mirror, see `augmentation`.
+    """How it changes when everything is moved along the floor or mirrored, see `augmentation`.
 
     scalar: nothing. point: a place in the world (x, y or x, y, z). vector: a difference of places, a velocity, a force,
     a direction. axial: a turn, an angular velocity, a torque (about x, y, z or about z alone). rotation: the first two
     columns of a rotation matrix. wrench: a vector, then an axial one. Several: one after the other, of 3 columns, 6
-    columns (rotation, wrench) or one (scalar). None: it is not known.
+    columns (rotation, wrench) or one (scalar). None: unknown.
     """
 
 
@@ -55,7 +55,7 @@ class Layout:
 
     @property
     def acting(self) -> Layout:
-        """What a policy observes: the fields that are not for a critic alone."""
+        """The fields that a policy observes: those that are not for critics alone."""
         return Layout(tuple(field for field in self.fields if not field.critic_only))
 
     def slice(self, name: str) -> slice:
@@ -68,7 +68,7 @@ class Layout:
         raise KeyError(f"no field {name!r}; the layout has {', '.join(self.names) or 'none'}")
 
     def column(self, place: int) -> str:
-        """What a column is called: its field, and its place there from 0."""
+        """The name of a column: its field, and its place there from 0."""
         names = [f"{field.name}[{inside}]" for field in self.fields for inside in range(field.size)]
         return names[place]
 
@@ -166,14 +166,14 @@ class Signature:
     parameters: Layout = NO_FIELDS
     """The values that domain randomization draws at each reset, see `Environment.parameters`."""
     measures: tuple[Measure, ...] = ()
-    """What an episode is measured by, see `Environment.measures`. No name is there twice."""
+    """The measures of an episode, see `Environment.measures`. Their names differ."""
 
     @property
     def observed_goal(self) -> tuple[list[int], list[int]]:
-        """Columns of the desired goal, and the columns of observations that hold what is achieved of them.
+        """Columns of the desired goal, and the columns of observations with the achieved values of these.
 
-        The n-th column of the achieved goal belongs to the n-th of the desired one. It is observed where the layout of
-        what policies observe has a field of the same name and size.
+        The n-th column of the achieved goal belongs to the n-th of the desired one. It is observed if
+        policies observe a field of the same name and size.
         """
         observed, places, columns = self.observation.acting, list[int](), list[int]()
         sizes = {(field.name, field.size) for field in observed.fields}

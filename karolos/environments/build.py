@@ -43,8 +43,8 @@ def build_environment(recipe: Recipe) -> Environment:
     """The environment of a recipe; nothing is simulated before its first reset.
 
     Raises:
-        UsageError: a robot or task is missing, or given to an environment that takes none; randomization names what
-            cannot be drawn.
+        UsageError: a robot or task is missing, or given to an environment that takes none; randomization names a
+            parameter that cannot be sampled.
         PluginError: robot and task are incompatible, or a plugin fails, or ends the program.
     """
     try:
@@ -105,8 +105,8 @@ MOST_WORLDS = 8
 class VariedRobotTask(Environment):
     """A robot task for each combination of settings; an episode takes place in one of them.
 
-    Parameters of domain randomization change in a built world. What is fixed in it, such as the shape of a body, is
-    varied here: each combination has a world of its own, built at its first episode.
+    Parameters of domain randomization change in a built world. Settings that are fixed in it, such as the shape of a
+    body, vary here: each combination has a world of its own, built at its first episode.
 
     Args:
         variants: the robot tasks, by the values of the settings.

@@ -1,4 +1,4 @@
-"""What observations and actions mean in an environment, so that a policy is refused where they mean something else."""
+"""The meaning of an environment's observations and actions, by which a policy of another environment is refused."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Scale = tuple[str, tuple[float, ...]]
 
 @dataclass(frozen=True)
 class Facts:
-    """What a policy that acts in an environment relies on. Picklable."""
+    """The facts of an environment that a policy relies on. Picklable."""
 
     signature: Signature
     rate: float

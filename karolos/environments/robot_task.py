@@ -18,8 +18,7 @@ from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
 from ..simulation.engines import ENGINES, Engine, make_world
 from ..simulation.geometry import rotated
-from ..simulation.interface import Camera, Robot, Stroke, Task, TaskNeeds, World
-from ..simulation.interface.engine import PHYSICS_RATE
+from ..simulation.interface import PHYSICS_RATE, Camera, Robot, Stroke, Task, TaskNeeds, World
 from .action_set import ActionSet, action_index
 
 TIME_TO_SUCCESS = Measure(
@@ -63,7 +62,7 @@ class RobotTask(Environment):
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
         critic_observes: tuple[str, ...] = Setting(
-            (), description="what critics observe besides and no policy does: fields that the task offers for that"
+            (), description="further fields that critics alone observe, of those that the task offers"
         )
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
@@ -87,7 +86,7 @@ class RobotTask(Environment):
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
-        """What randomization may change, by name with the part in front."""
+        """The parameters that randomization may change, by name with the part in front."""
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
         self._drawn: list[float] = []
@@ -156,7 +155,7 @@ class RobotTask(Environment):
         return tuple(measures)
 
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:
-        """Set what is drawn at each reset, by parameter ("task.gravity"). Raises UsageError for undeclared ones."""
+        """Set the parameters that each reset samples ("task.gravity"). Raises UsageError for undeclared ones."""
         self._randomization = Randomization(distributions, self.declared)
         self.signature = replace(self.signature, parameters=self._randomization.layout)
 

@@ -19,8 +19,7 @@ from ..registry import blaming, load, names
 from ..robots.arm import Arm
 from ..robots.proposal import doubts
 from ..simulation.engines import Engine, make_world
-from ..simulation.interface import Camera, Cup, Gripper, TaskNeeds
-from ..simulation.interface.robot import ControlMode
+from ..simulation.interface import Camera, ControlMode, Cup, Gripper, TaskNeeds
 from .contracts.case import candidate, required
 from .contracts.joined import CONTROLS, join
 

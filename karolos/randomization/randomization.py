@@ -32,7 +32,7 @@ class RandomizedParameter:
 
     @property
     def allowed(self) -> str:
-        """What may be written, for a message."""
+        """The allowed range, for a message."""
         return f"allowed is {self.low:g} to {self.quantity(self.high)}"
 
     def quantity(self, value: float) -> str:
@@ -68,10 +68,10 @@ def drawn_settings(settings: BaseModel) -> dict[str, RandomizedParameter]:
 
 
 class Randomization:
-    """The parameters that are drawn at each reset, and their distributions.
+    """Samples parameters from their distributions at each reset.
 
-    A value outside the range that the parameter declares is drawn again, so the distribution is truncated; one that is
-    listed (a constant, a choice) is refused.
+    A value outside the range that the parameter declares is sampled again, so the distribution is truncated. A listed
+    value (a constant, a choice) outside the range is refused.
 
     Args:
         distributions: by name of the parameter with its part in front, e.g. "task.gravity".

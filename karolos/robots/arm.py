@@ -20,8 +20,7 @@ from ..errors import PluginError, UsageError
 from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
-from ..simulation.interface import Body, Cup, Gripper, JointLimits, TaskNeeds, World
-from ..simulation.interface.engine import OPENS, Ability
+from ..simulation.interface import OPENS, Ability, Body, Cup, Gripper, JointLimits, TaskNeeds, World
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
 from .control import CONTROLS, ROTATION, Control, Way

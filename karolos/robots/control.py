@@ -18,8 +18,7 @@ from ..simulation.geometry import (
     rotation_about,
     rotation_vector,
 )
-from ..simulation.interface import Box, JointLimits, Motors
-from ..simulation.interface.engine import Spring
+from ..simulation.interface import Box, JointLimits, Motors, Spring
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from .ramps import Ramps
 from .settings import ArmSettings

@@ -12,7 +12,7 @@ from ..core import Settings
 from ..errors import UsageError
 from ..randomization.randomization import Drawn
 from ..registry import find
-from ..simulation.interface.robot import ControlMode
+from ..simulation.interface import ControlMode
 from .protective_stop import ProtectiveStop
 
 

@@ -1,4 +1,4 @@
-"""The physics engines: what each needs and can do, and worlds of a named one."""
+"""The physics engines: their needs and abilities, and worlds of a named one."""
 
 from __future__ import annotations
 
@@ -9,8 +9,7 @@ from typing import Any, Literal, NamedTuple
 
 from ..errors import UsageError
 from ..system import has_display
-from .interface import World
-from .interface.engine import Ability
+from .interface import Ability, World
 
 Engine = Literal["mujoco", "bullet"]
 CALLED: dict[Ability, str] = {
@@ -22,7 +21,7 @@ CALLED: dict[Ability, str] = {
 
 
 class PhysicsEngine(NamedTuple):
-    """What there is to know of an engine without its world."""
+    """The facts of an engine, known without a world."""
 
     name: Engine
     module: str

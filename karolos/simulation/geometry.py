@@ -51,7 +51,7 @@ class Box:
         )
 
     def moved(self, by: Vector) -> Box:
-        """The box, moved by so many m along each axis."""
+        """The box, moved by a vector in m."""
         (a, b, c), (d, e, f), (x, y, z) = self.low, self.high, by
         return Box((a + x, b + y, c + z), (d + x, e + y, f + z))
 

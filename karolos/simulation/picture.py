@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from ..core import Array, FloatArray
 from .geometry import Colour, Vector
-from .interface.engine import Camera, Stroke
+from .interface import Camera, Stroke
 
 SAMPLES = 2
-"""A pixel is the mean of so many to a side."""
+"""Samples of a pixel along each side; the pixel is their mean."""
 FLOOR_COLOUR = (158.0, 173.0, 189.0)
 SKY_COLOUR = (226.0, 232.0, 238.0)
 PLATE_COLOUR, PLATE_EDGE = (122.0, 134.0, 147.0), (84.0, 94.0, 105.0)
@@ -37,7 +37,7 @@ MARKER_OPACITY = 0.5
 STROKE = 0.006
 """Width of a stroke as a fraction of the picture's height."""
 PIECES = 4
-"""Lines are hidden in so many pieces per point."""
+"""Pieces of a line between two points; bodies hide each piece as a whole."""
 SHADOW_CELLS = 160, 480
 """The shadow is a square of as many cells to a side as the picture is high, within these limits."""
 LIGHT_HEIGHT = 30.0
@@ -56,7 +56,7 @@ class Eye(NamedTuple):
     """Vertical, in degrees."""
     near: float = 0.1
     far: float = 20.0
-    """Only what lies between these distances ahead, in m, is seen."""
+    """The camera sees only bodies between these distances ahead, in m."""
 
 
 Renderer = Callable[[Eye, int, int], tuple[NDArray[np.uint8], FloatArray]]
@@ -74,12 +74,12 @@ class Marker(NamedTuple):
 
     @property
     def lies(self) -> bool:
-        """Whether it touches the floor, where a disc reads better than what is left of a sphere."""
+        """Whether it touches the floor, where a disc reads better than a part of a sphere."""
         return self.position[2] <= self.radius
 
 
 class View(NamedTuple):
-    """What a camera sees of an empty world; height h, width w."""
+    """The view of an empty world; height h, width w."""
 
     eye: Eye
     axes: FloatArray
@@ -97,7 +97,7 @@ class View(NamedTuple):
     cells: int
     """To a side of the square that can have a shadow."""
     cell: Array
-    """Index of each pixel's cell in the square: (h, w). Pixels beside it have an index of the border."""
+    """Index of each pixel's cell in the square: (h, w). Pixels outside it have an index of the border."""
 
 
 @lru_cache(maxsize=4)
@@ -213,7 +213,7 @@ def _shadow(render: Renderer, view: View) -> FloatArray:
 
 
 def _rings(marker: Marker, view: View) -> Iterator[Stroke]:
-    """What outlines a marker: on the floor, or towards the camera and with a line down to the floor below it."""
+    """The outlines of a marker: on the floor, or towards the camera and with a line down to the floor below it."""
     (x, y, z), radius, colour = marker
     turn = np.linspace(0.0, 2 * pi, 49)
     circle = radius * np.stack((np.cos(turn), np.sin(turn), np.zeros(49)), -1)

@@ -130,7 +130,7 @@ class Inertia:
 
 
 def volume_of(shapes: Sequence[Shape]) -> float:
-    """Of all shapes, in m3. Where they overlap it counts twice."""
+    """Volume of all shapes in m3. Overlaps count twice."""
     return sum(shape.solid()[0] for shape in shapes)
 
 

@@ -4,8 +4,7 @@ from .files import parse_settings, to_yaml
 from .load import load_spec, spec_from_dict, spec_of_trial, spec_of_variant, spec_without
 from .model import Spec, TestingSettings, TrainingSettings
 from .parts import Part, Recipe
-from .sweep import Sweep
-from .transfer import Transfer
+from .sweep import Sweep, Transfer
 
 __all__ = [
     "Part",

@@ -1,4 +1,4 @@
-"""From a merged tree to a Spec: which plugins its parts name, and whether what they are given is valid."""
+"""From a merged tree to a Spec: binds the plugins that its parts name, validates the settings, explains mistakes."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ Plugins = Mapping[tuple[str, ...], type[Any]]
 
 @dataclass(frozen=True)
 class Invalid:
-    """Pydantic's errors in what stands at a path of the spec and should be this model."""
+    """Pydantic's errors at a path of the spec that should hold this model."""
 
     path: Path
     model: type[BaseModel]
@@ -62,7 +62,7 @@ def bind(tree: Node) -> tuple[Plugins, list[Problem]]:
 
 
 def validate(tree: Node, plugins: Plugins) -> tuple[Spec | None, list[Invalid]]:
-    """The spec in a tree, None if it is invalid, and what pydantic says of it.
+    """The spec in a tree, None if it is invalid, and pydantic's errors.
 
     Each part is validated by its plugin's `Settings`, everything else by `Spec`.
     """
@@ -161,7 +161,7 @@ SHOULD_BE = {
     "literal_error": "{expected}",
     "enum": "{expected}",
 }
-"""Kind of pydantic's error -> what the value should be. A value is shown with these."""
+"""Kind of pydantic's error -> the allowed values. The given value is shown with these."""
 SAYS = {
     "value_error": "{error}",
     "assertion_error": "{error}",
@@ -170,12 +170,12 @@ SAYS = {
     "string_too_short": "should have at least {min_length} character{s}",
     "string_too_long": "should have at most {max_length} character{s}",
 }
-"""Kind of pydantic's error -> what is wrong. Errors of other kinds speak for themselves."""
+"""Kind of pydantic's error -> the mistake. Errors of other kinds keep pydantic's words."""
 LENGTHS = ("too_short", "too_long")
 COMPLETE = ("value_error", "assertion_error", *LENGTHS)
-"""Kinds of errors that say what the value is instead of what it should be."""
+"""Kinds of errors that describe the given value instead of the allowed ones."""
 PARAMETERS = {("robot",): "robot.link_mass", ("task",): "task.gravity"}
-"""An example of each: what there is is known only once robot and task are made."""
+"""An example of each. The parameters are known only once robot and task are made."""
 AGENT_HINT = "name a learning algorithm, e.g. `agent: sac`"
 
 
@@ -222,7 +222,7 @@ def _place(tree: Node, path: Path, entry: Mapping[str, Any]) -> Mark:
 def _said(
     invalid: Invalid, path: Path, entries: list[dict[str, Any]], tree: Node, plugins: Plugins
 ) -> tuple[str, str | None]:
-    """What is wrong at a path, and a hint. Several errors at one path come from the members of a union."""
+    """The mistake at a path, and a hint. Several errors at one path come from the members of a union."""
     kind, given = entries[0]["type"], entries[0]["input"]
     if kind == "extra_forbidden":
         return "no such key", _known_keys(invalid, path, tree, plugins)
@@ -242,7 +242,7 @@ def _said(
 
 
 def _text(entry: Mapping[str, Any]) -> str:
-    """What one error says: in words of ours for the kinds above, otherwise in its own."""
+    """The text of one error: ours for the kinds above, otherwise pydantic's."""
     kind, context = entry["type"], dict(entry.get("ctx") or {})
     for key, value in context.items():
         if isinstance(value, float) and value.is_integer():

@@ -71,7 +71,7 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
 
 
 def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> tuple[Node, Spec | None, list[Problem]]:
-    """The tree of what is written, with changes on top, its Spec if it is valid, and the problems, where they stand.
+    """The written tree with changes on top, its Spec if it is valid, and the problems at their positions.
 
     Raises:
         PluginError: a plugin is broken; at the position that names it.
@@ -85,7 +85,7 @@ def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> tuple[
 def _spec(
     written: Node, changes: Sequence[Node] = (), stem: str | None = None, problems: Sequence[Problem] = ()
 ) -> Spec:
-    """The spec of what is written, with changes on top.
+    """The spec of the written tree, with changes on top.
 
     Raises:
         SpecError: it is invalid; carries these and all other problems, each at the change that causes it.
@@ -111,12 +111,13 @@ def _at_causes(problems: list[Problem], written: Node, changes: Sequence[Node], 
             break
         try:
             _, _, without = _resolve(written, [*changes[:place], *changes[place + 1 :]], stem)
-        except PluginError:  # of a plugin that the change replaces
+        except PluginError:  # the change replaces a broken plugin
             continue
         remaining = {problem.setting for problem in without}
-        for number, problem in enumerate(problems):
-            if problem.where not in own and problem.setting not in remaining:
-                problems[number] = replace(problem, where=change.at)
+        # a problem that is gone without the change is caused by it
+        problems = [
+            one if one.where in own or one.setting in remaining else replace(one, where=change.at) for one in problems
+        ]
     return problems
 
 
@@ -139,7 +140,7 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
         drawn: parameter -> number, or label of a choice.
         name: of the trial's runs.
         seeds: on which it is run.
-        source: what its settings are marked with, e.g. "trial 7".
+        source: the origin of its settings, e.g. "trial 7".
 
     Raises:
         SpecError: these values are incompatible; reported at `source`.
@@ -177,7 +178,7 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
 
 
 def spec_without(spec: Spec, setting: str) -> Spec:
-    """The spec without a setting, a block or a part that was given: what is left has its default."""
+    """The spec without a setting, a block or a part that was given, which then has its default."""
     *above, last = segments(setting)
     block = given = spec.given()
     for key in above:

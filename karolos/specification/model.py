@@ -14,8 +14,7 @@ from pydantic import Field as Setting
 from ..core import Settings
 from ..files import fingerprint, is_portable
 from .parts import OfKind, Part, Recipe
-from .sweep import Seed, Seeds, Sweep
-from .transfer import Transfer
+from .sweep import Seed, Seeds, Sweep, Transfer
 from .tree import PARTS
 
 NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
@@ -30,7 +29,7 @@ def _portable(name: str) -> str:
 
 
 Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN), AfterValidator(_portable)]
-"""Of an experiment or a suite."""
+"""The name of an experiment or a suite."""
 PARAMETER_PATTERN = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
@@ -158,7 +157,7 @@ class TestingSettings(Settings):
 
 
 class Continued(Settings):
-    """Of which experiment's runs, and from which step, a run goes on."""
+    """The experiment and the step from which a run continues."""
 
     experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
     at: int = Setting(ge=0, description="environment steps that its runs have taken")
@@ -168,7 +167,7 @@ _WRITTEN = re.compile(
     r"(?:^|_)(?:logs?|outputs?|out|saves?|videos?|films?|monitor|cache|te?mp|results?)"
     r"(?:_?(?:dir|folder|path|file|to|root)\w*)?(?:_|$)"
 )
-"""Names of settings for what an environment writes: its content is no part of an experiment."""
+"""Names of settings for files that an environment writes. Their content is no part of an experiment."""
 
 
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
@@ -254,11 +253,11 @@ class Spec(Settings):
         return {key: value for key, value in given.items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without what is not a run's own: sweep, transfer and launcher."""
+        """This spec without sweep, transfer and launcher, which are not a run's own."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
     def files(self) -> dict[str, str]:
-        """The files that settings name: key path -> SHA-256 (hex) of the file and of what it names (`fingerprint`)."""
+        """The files that settings name: key path -> SHA-256 (hex) of file and files named there (`fingerprint`)."""
         found: dict[str, str] = {}
         _by_content(self._identity(), found)
         return found

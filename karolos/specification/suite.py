@@ -31,7 +31,7 @@ class SuiteEntry(Settings):
 
 
 class SuiteFile(Settings):
-    """What a suite file contains. An entry of `specs` may be the spec alone."""
+    """The content of a suite file. An entry of `specs` may be the spec alone."""
 
     name: Name = Setting(description="default: the file's name")
     specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="what is trained")
@@ -53,7 +53,7 @@ class Suite:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the overrides leave out: settings that files give and that have no place now, and whole specs."""
+        """One line for each setting or spec that is left out because of the overrides."""
         dropped = defaultdict[str, list[str]](list)
         for spec in self.specs:
             if lost := ", ".join(_lost(self.written[spec.name].given(), spec.given())):
@@ -138,7 +138,7 @@ def _overridden(file: str, overrides: list[str], above: list[Node]) -> Spec:
 
 
 def _file_of(given: Node) -> str:
-    """The spec file that an entry names: beside the suite's, or a shipped one."""
+    """The spec file that an entry names: relative to the suite's, or a shipped one."""
     near = given.value if given.value.startswith(SHIPPED) else beside(given.at.source, given.value)
     name = near if os.path.isfile(find_spec(near)[0]) else given.value
     if wrong := unreadable(find_spec(name)[0]):

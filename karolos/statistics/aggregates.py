@@ -21,7 +21,7 @@ RESAMPLES = 2000
 MANY = 1000
 """Values from which on they are not sorted, but divided at the quartiles."""
 DRAWN = 1 << 20
-"""Values that are drawn at a time, so that the memory does not grow with the number of seeds."""
+"""Largest number of values sampled at a time, so that the memory does not grow with the number of seeds."""
 BAND_DRAWS = 1 << 20
 """Values that a band is made of at each point. With more than 524 seeds it has fewer resamples, at least 200."""
 LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
@@ -65,8 +65,8 @@ def paired_interval(
 ) -> tuple[float, float] | None:
     """95 % percentile bootstrap interval of a statistic of one or several values per seed: rows (n,) each.
 
-    The rows' seeds are drawn together. An end is the value of a resample, which may be infinite. None for fewer than 5
-    seeds, and where more than 2.5 % of the resamples are nan; up to that they are left out.
+    The rows' seeds are resampled together. An end is the value of a resample, which may be infinite. Resamples that are
+    nan are left out. None for fewer than 5 seeds, and if more than 2.5 % of the resamples are nan.
     """
     table = np.asarray(rows, float)
     seeds = table.shape[-1]
@@ -83,7 +83,7 @@ def paired_interval(
 def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple[_Floats, _Floats] | None:
     """As `paired_interval`, at each of several points: values (t, n) to low and high (t,); None for fewer than 5 seeds.
 
-    A resample draws whole seeds, the same ones at every point, as a run is drawn as a whole.
+    A resample takes whole seeds, the same ones at every point.
     """
     table = np.asarray(values, float)
     seeds = table.shape[-1]

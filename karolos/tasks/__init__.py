@@ -1,5 +1,5 @@
 """Tasks, one file each with its scripted expert. No task knows a robot.
 
-What several tasks share: `point_goal`, `pose_goal` (goals), `cube` (things), `carrying` (grips), `starts` (of training
-episodes), `force_penalty`. What throwing needs: `flight`, `throw_planner`.
+Several tasks share `point_goal` and `pose_goal` (goals), `cube` (things and grips) and `settings` (starts of training
+episodes, the cost of force). Throwing needs `throw_planner`.
 """

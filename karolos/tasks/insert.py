@@ -22,7 +22,7 @@ PEG_LENGTH = 0.06
 PEG_WIDTH = {"square": 0.02, "round": 0.016, "connector": 0.016}
 """Edge or diameter of the peg in m: its width between the pads."""
 PLUG_LENGTH, RIDGE, RIDGE_WIDTH = 0.024, 0.003, 0.006
-"""Of a connector, in m: its other edge, along x, and the ridge on the side at +x: how far it stands out, its width."""
+"""Sizes of a connector in m: its edge along x, and the height and width of the ridge on its side at +x."""
 DEPTH, FLOOR = 0.025, 0.005
 """Depth of the hole and thickness of the floor below it, in m."""
 TOP = DEPTH + FLOOR
@@ -37,10 +37,10 @@ HOLE_RANGE, HOLE_TURN = 0.05, pi / 4
 HAND_OFFSET, HAND_TILT = 0.003, 0.05
 """Largest offset in m and tilt in rad of the peg in the hand. Pads centre it in the direction in which they close."""
 START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
-"""Of the tip over the hole at the start, and largest distance beside it along each axis, in m."""
+"""Height of the tip over the hole at the start, and its largest distance from the axis along x and y, in m."""
 SLACK, TURN_SLACK = 0.001, 0.03
-"""Of a tip beside the axis in m and of a turn in rad that count as in the hole, beyond what the play leaves them and
-what is not known of the hole. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
+"""Distance of the tip from the axis in m, and turn in rad, that count as in the hole. The play and the
+error of the hole are added. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
 ALIKE = 0.0005
 """m of play up to which goals are the same, so that training may draw it: in a tight hole alone little is learned."""
 SCALES = (0.004, 0.001)
@@ -48,7 +48,7 @@ SCALES = (0.004, 0.001)
 TURN_SCALE = 0.05
 """The same in rad."""
 TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
-"""What a hole that is not known exactly adds to the observation, and its scales in N, m, m and N m."""
+"""Field that is also observed if the hole is not known exactly, and its scales in N, m, m and N m."""
 
 
 class Insertion(GoalRule):
@@ -90,16 +90,16 @@ class Insert(Task):
 
     What is randomised: the hole, within 5 cm of the middle of the workspace along each axis and turned by up to 45
     degrees; the peg in the hand, by up to 3 mm along the pads and upwards and tilted by up to 3 degrees; the start, 2
-    to 5 cm above the hole and up to 2 cm beside it. With `hole_error` and `hole_turn_error` the hole is known only so
-    far, drawn once per episode. With probability `start_inserted` an episode begins with the peg partly in the hole, of
-    the others with `start_near` a part of the way from it to such a start: parameters that training may draw.
+    to 5 cm above the hole and up to 2 cm off its axis. `hole_error` and `hole_turn_error` bound the error of the known
+    hole, sampled once per episode. With probability `start_inserted` an episode begins with the peg partly in the hole.
+    Of the others `start_near` begin on the way from there to a usual start. Training may sample these parameters.
 
     Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
     peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),
     peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
     wrist's), overloaded (1, whether a force was too large); where the hole is not known exactly also touch (4, tanh of
     the force on the tip from below, of the place of its middle from the tip along x and y, and of the torque about the
-    vertical, at fine scales). For critics alone: hole_error (3, m and rad: what is not known), peg_forces (2, N:
+    vertical, at fine scales). For critics alone: hole_error (3, m and rad: error of the known hole), peg_forces (2, N:
     largest on the peg and on the arm).
     Action: the robot's, without the gripper: it stays closed around the peg.
     Goals: achieved, the tip from the hole as it is known (3, m), the peg's turn (3, rad) and whether a force was too
@@ -314,7 +314,7 @@ class Insert(Task):
         return [*values, *near, *felt, float(self.overloaded), *(tanh(value / scale) for value, scale in touch)]
 
     def touch(self) -> tuple[float, float, float, float]:
-        """What the wrist feels at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
+        """The wrench of the wrist at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
         tool, wrench = self._robot.tool, self._robot.wrench
         force, arm = rotated(tool.orientation, wrench[:3]), _sum(self.tip, tool.position, sign=-1)
         up, (x, y, z) = force[2], _sum(rotated(tool.orientation, wrench[3:]), _cross(arm, force), sign=-1)
@@ -343,7 +343,7 @@ class Insert(Task):
 CLEARANCE = 0.004
 """m of the tip above the mouth while it is not yet over it."""
 OVER, STRAIGHT = 0.0015, 0.02
-"""m beside the axis of the hole as it is known, and rad of the peg's turn, within which the tip goes down."""
+"""Distance from the known axis of the hole in m, and turn of the peg in rad, within which the tip goes down."""
 FAST, RATE, LEAD = 0.06, 2.0, 0.1
 """Largest speed downwards in m/s, speed for each m that mouth or bottom is away, s by which a wrong speed counts."""
 PRESSING, STUCK = 0.003, 0.006
@@ -357,10 +357,10 @@ TURNING, TURNING_INSIDE, MOST_TURN = 0.2, 0.05, 0.015
 
 
 class InsertExpert(Expert):
-    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to what it feels.
+    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to forces.
 
     A peg that rests on the rim is pressed from below on the side away from the hole, so it goes to the other. One that
-    rests on the chamfer is turned by it towards the position that fits. What it does depends on the current step alone.
+    rests on the chamfer is turned by it towards the position that fits. Each action depends on the current step alone.
     """
 
     def __init__(self, robot: RobotView, task: Insert) -> None:
@@ -431,7 +431,7 @@ class _Face(NamedTuple):
     inner: float
     """Distance of the line from the middle of the hole, m."""
     along: float
-    """Of its middle along the line, m."""
+    """Position of its middle along the line, m."""
     length: float
     """In m."""
 
@@ -459,8 +459,10 @@ def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Face]:
         aside = _about_z(sign * pi / 2)
         found += [
             _Face(aside, half, 0.0, 2 * (end + wall)),
-            _Face(_about_z(0.0), end, sign * (key + half + wall) / 2, half + wall - key),  # beside the keyway
-            _Face(aside, key, -sign * (end + RIDGE / 2), 0.0 if wall else RIDGE),  # in it; its wall is that beside it
+            _Face(_about_z(0.0), end, sign * (key + half + wall) / 2, half + wall - key),  # next to the keyway
+            _Face(
+                aside, key, -sign * (end + RIDGE / 2), 0.0 if wall else RIDGE
+            ),  # in the keyway, whose wall is the one before
         ]
     return found
 

@@ -24,7 +24,7 @@ PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
 TRAVEL, ANGLE = 0.15, pi / 2
 """How far the drawer moves in m, and how far the door turns in rad."""
 WIDTH, DEPTH, TOP, BOARD = 0.18, 0.16, 0.06, 0.016
-"""Of the piece, and thickness of its boards, in m. It is so low that no hand meets it that is at the handle."""
+"""Sizes of the piece, and thickness of its boards, in m. It is too low to meet a hand that is at the handle."""
 BAR = 0.012
 """Thickness of the bar of the handle in m. With its two legs it encloses a square in front of drawer or door."""
 BAR_HEIGHT, GRIP = 0.05, 0.045
@@ -159,7 +159,7 @@ class Open(Task):
             range=(0.0, self.range),
         )
         self.inertia = inertia_of(shapes, 1.0).moments
-        """Of 1 kg, in kg m2."""
+        """Principal moments of 1 kg, in kg m2."""
         self.piece = world.load(mechanism([_body(WIDTH / 2 if self.turns else 0.0), front]))
         self.link = self.piece.links()["front"]
         self._marker = world.marker(0.02, GOAL_COLOUR)
@@ -258,7 +258,7 @@ class Open(Task):
 HOVER = 0.055
 """m above the handle at which the tool arrives."""
 ALIGNED = 0.01
-"""m of the tool beside the middle of the handle's square at which it goes down."""
+"""Distance in m from the middle of the handle's square at which the tool goes down."""
 AHEAD, GAIN, SLOWING = 0.008, 1.5, 0.6
 """m of the handle's way that the tool aims ahead while the handle rests, what it aims further per m that the handle
 moves in a control step, and the share of the way to the goal that it aims ahead at the most."""
@@ -294,7 +294,7 @@ class OpenExpert(Expert):
 
 
 def _body(middle: float) -> Link:
-    """What stands on the floor behind the front: four boards around a drawer or behind a door.
+    """The fixed part on the floor: four boards around a drawer or behind a door.
 
     Args:
         middle: of the piece, in m to the side of the origin.

@@ -10,8 +10,7 @@ from pydantic import Field as Setting
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
 from ..randomization.randomization import Probability
 from ..simulation.interface import Box, Cup, RobotView
-from .carrying import Carrier, CarryTask
-from .cube import CubeSettings, check_gripper, ground
+from .cube import Carrier, CarryTask, CubeSettings, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position
 from .settings import drawn_stage, start
 

@@ -16,7 +16,7 @@ from ..simulation.interface import Box, Task, World
 
 PLACE_ATTEMPTS = 1000
 GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
-"""Of the marker that shows a goal."""
+"""Colour of the marker that shows a goal."""
 
 
 class PointGoal(GoalRule):
@@ -93,7 +93,7 @@ def check_threshold(threshold: float, box: Box) -> None:
 
 
 def sample_apart(generator: Generator, box: Box, number: int, apart: float, what: str) -> list[Vector]:
-    """So many positions in m in the box, each further than `apart` m from the others along the floor."""
+    """`number` positions in m in the box, each further than `apart` m from the others along the floor."""
     places: list[Vector] = []
 
     def far(one: FloatArray) -> bool:

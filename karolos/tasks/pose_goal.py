@@ -13,7 +13,7 @@ from ..simulation.geometry import Orientations, Quaternion, Vector, angles, colu
 from ..simulation.interface import Box, RobotView
 
 METRES_PER_RADIAN = 0.1
-"""What a radian costs in a dense reward."""
+"""Cost of a radian in a dense reward."""
 
 
 def pose_fields(what: str) -> tuple[Field, Field]:

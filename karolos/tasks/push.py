@@ -71,7 +71,7 @@ class Push(PointGoalTask, CubeTask):
 
 
 def near_start(robot: RobotView, cube: Vector, generator: Generator, angles: tuple[float, float] = (-pi, pi)) -> Vector:
-    """A random position of the tool beside the cube, within the workspace, at which it does not touch the cube.
+    """A random position of the tool near the cube, within the workspace, at which it does not touch the cube.
 
     `angles`: range in rad of its direction from the cube, from the x axis.
     """

@@ -22,11 +22,20 @@ from ..simulation.geometry import (
     rotation_about,
     rotation_vector,
 )
-from ..simulation.interface import RobotView, Stroke, World
-from ..simulation.interface.engine import Material
+from ..simulation.interface import Material, RobotView, Stroke, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
-from .carrying import CARRYING_CLEARANCE, GRIP_HEIGHT, HOVER_HEIGHT
-from .cube import CUBE_COLOUR, Cube, CubeSettings, CubeTask, braking, check_pads, drift
+from .cube import (
+    CARRYING_CLEARANCE,
+    CUBE_COLOUR,
+    GRIP_HEIGHT,
+    HOVER_HEIGHT,
+    Cube,
+    CubeSettings,
+    CubeTask,
+    braking,
+    check_pads,
+    drift,
+)
 from .point_goal import GOAL_COLOUR, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 from .reach_pose import AXIS_COLOURS, GOAL_BOX
@@ -44,7 +53,7 @@ AIR_PROBABILITY, AIR = 0.6, (0.03, 0.15)
 OVER_TOP = (0.012, 0.04)
 """m of the tool above the top of the object in episodes that start over it: the pads reach a part of that lower."""
 TURN_SHARE = 0.9
-"""Of the largest turn of the tool, by which object and goals are turned."""
+"""Share of the tool's largest turn by which object and goals are turned."""
 
 
 class ReorientSettings(CubeSettings):
@@ -86,7 +95,7 @@ class Piece(Cube):
         """Between the pads, in m."""
         shape: Shape = Cylinder(y / 2, z) if self.round else Cuboid((x, y, z))
         self.inertia = inertia_of([shape], 1.0).moments
-        """Of 1 kg, in kg m2."""
+        """Principal moments of 1 kg, in kg m2."""
         self.body = world.body([shape], settings.object_mass, CUBE_COLOUR)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
@@ -246,7 +255,7 @@ def closing_yaw(robot: RobotView) -> float:
 ROOM, CLOSED = 0.03, 0.004
 """m by which the gripper is wider than the object when it comes, and at the most when it holds it."""
 OVER, STRAIGHT = 0.01, 0.1
-"""m beside the object and rad of the tool's turn to it within which the tool goes down."""
+"""Distance from the object's axis in m, and turn of the tool to it in rad, within which the tool goes down."""
 NEAR = 0.012
 """m of the tool from where it grips, along each axis, within which it closes."""
 TURNED = 0.1
@@ -286,7 +295,8 @@ class ReorientExpert(Expert):
             if self._closing < PATIENCE and self._apart() < 2 * NEAR:
                 return robot.towards((tx, ty, tz), 0.0, robot.tool.orientation)
             self._closing = 0
-        turn = piece.across() - task.closing_yaw if not (piece.round and self._stands()) else 0.0
+        stands = abs(axes(piece.orientation)[2][2]) > UPWARDS
+        turn = 0.0 if piece.round and stands else piece.across() - task.closing_yaw
         orientation = robot.orientations.at(0.0, 0.0, turn - pi * round(turn / pi))
         off = hypot(*rotation_vector(multiply(orientation, inverse(robot.tool.orientation))))
         beside, grip = hypot(tx - x, ty - y), max(z + GRIP_HEIGHT, robot.workspace.low[2])
@@ -296,9 +306,6 @@ class ReorientExpert(Expert):
             return robot.towards(braking(robot, above), opening, orientation)
         self._closing = int(abs(tz - grip) < NEAR / 2 and drift(robot) < OVER)
         return robot.towards(braking(robot, (x, y, grip)), 0.0 if self._closing else opening, orientation)
-
-    def _stands(self) -> bool:
-        return abs(axes(self._task.cube.orientation)[2][2]) > UPWARDS
 
     def _turn(self) -> Quaternion:
         """The smallest rotation of the object to the goal, symmetries counted."""

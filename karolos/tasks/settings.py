@@ -34,7 +34,7 @@ def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
 
 
 class ForcePenalty(Settings):
-    """What a step costs in which a force is larger than a limit, whatever the goal.
+    """The cost of a step in which a force is larger than a limit. It does not depend on the goal.
 
     Source: FORGE (Noseworthy et al. 2024, arXiv 2408.04587), where it is .2 times the excess in N.
     """

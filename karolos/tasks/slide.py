@@ -12,8 +12,7 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layou
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
-from ..simulation.interface import Box, Camera, Cup, RobotView, World
-from ..simulation.interface.engine import FLOOR_FRICTION, GRAVITY
+from ..simulation.interface import FLOOR_FRICTION, GRAVITY, Box, Camera, Cup, RobotView, World
 from ..simulation.shapes import Cylinder, Shape
 from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
@@ -176,7 +175,7 @@ class Slide(CubeTask):
 
     @property
     def deceleration(self) -> float:
-        """Of the sliding puck, in m/s2: Coulomb's friction."""
+        """Deceleration of the sliding puck by Coulomb's friction, in m/s2."""
         return max(-self.drawn.object_friction * self._floor * self._gravity, 1e-3)
 
     def build(self, world: World) -> None:
@@ -255,7 +254,7 @@ NUDGE = 0.1
 SPEED_UP = 0.12
 """m/s by which the tool is told to be faster than the puck at the most."""
 GAIN = 0.35
-"""Share of a missing velocity that is added to what the tool is told in each control step."""
+"""Share of a missing velocity that is added to the commanded one in each control step."""
 ENOUGH = 0.99
 """Share of the speed that the puck needs at which it is let go."""
 

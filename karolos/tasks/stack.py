@@ -14,14 +14,13 @@ from ..errors import UsageError
 from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
-from .carrying import HOVER_HEIGHT, Carrier, CarryTask
-from .cube import CUBE_COLOUR, CubeSettings, aligned, check_gripper, fields, ground
+from .cube import CUBE_COLOUR, HOVER_HEIGHT, Carrier, CarryTask, CubeSettings, aligned, check_gripper, fields, ground
 from .point_goal import Places, sample_apart
 from .settings import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
-"""Least distance in m between the sides of cubes at the start, by their number: room for the fingers, or, beside two
-that stand on each other, for the hand."""
+"""Number of cubes -> smallest distance in m between their sides at the start: room for the fingers, or for the hand if
+two stand on each other."""
 ABOVE = 0.05
 """Largest height in m above its place of a cube that starts there in the gripper."""
 NEAR_SCALE = 0.02
@@ -46,7 +45,7 @@ class Stack(CarryTask):
     Reward: sparse -1 until the cubes are stacked, then 0; of three -.5 from when two are; less where a force exceeds
     that of `force_penalty`.
     What counts as success: each cube within `threshold` of its place on the one below, all let go and at rest. A cube
-    that lies beside the other or is held on it does not count.
+    that lies next to the other or is held on it does not count.
     Termination: never; the episode is truncated after `max_steps`.
     """
 

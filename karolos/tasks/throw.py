@@ -12,8 +12,7 @@ from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalR
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector, axes
-from ..simulation.interface import Box, Camera, RobotView, Stroke, World
-from ..simulation.interface.engine import GRAVITY
+from ..simulation.interface import GRAVITY, Box, Camera, RobotView, Stroke, World
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper, check_pads
 from .point_goal import GOAL_COLOUR, sample_position
 from .throw_planner import FLIGHT_STEPS, RUN_UP, Flight, ThrowPlanner, flight_time
@@ -29,12 +28,12 @@ class Landing(GoalRule):
     """Success where a thrown object lands nearer than `threshold` to the target, in m; landing ends the episode.
 
     `achieved` (..., 3) is the object's position on the floor (2) in m and a status: 0 in the hand or in the air, 1
-    landed after a release, -1 a failure whatever the target, such as an object put on the floor. `desired` (..., 2) is
+    landed after a release, -1 a failure for every target, such as an object put on the floor. `desired` (..., 2) is
     the target in m.
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
-    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure whatever the target
-    costs `failure_cost`: beside a miss, which is worth 0 too, nothing else would tell a policy to keep off the floor.
+    reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure for every target
+    costs `failure_cost`. A miss is worth 0 as well, so nothing else would tell a policy to keep off the floor.
     """
 
     def __init__(self, threshold: float, *, dense: bool, failure_cost: float) -> None:
@@ -204,7 +203,11 @@ class Throw(CubeTask):
         elif lowest < FLOOR_CONTACT:
             self._landing = cube.position[:2]
             self._status = -1.0 if held else 1.0
-        self._flight = None if held else self._current_flight()
+        self._flight = None
+        if not held:
+            x, y, z = cube.velocity
+            velocity, turning = (x, y, self._rise(z)), cube.angular_velocity
+            self._flight = Flight(cube.position, velocity, axes(cube.orientation), turning, cube.half, self._gravity)
         self._trail = [] if held else [*self._trail, cube.position]
         if self._ends_at_release and self._flight is not None and not self._status:
             seconds = float(flight_time(cube.position[2], self._flight.velocity[2], self._gravity))
@@ -224,18 +227,6 @@ class Throw(CubeTask):
         z + k dt v + k (k + 1) g dt^2 / 2. Without this a throw lands 5 mm nearer than computed.
         """
         return speed + self._gravity * self._lead
-
-    def _current_flight(self) -> Flight:
-        cube = self.cube
-        x, y, z = cube.velocity
-        return Flight(
-            cube.position,
-            (x, y, self._rise(z)),
-            axes(cube.orientation),
-            cube.angular_velocity,
-            cube.half,
-            self._gravity,
-        )
 
     def achieved(self) -> FloatArray:
         x, y = self._landing or self.cube.position[:2]
@@ -313,7 +304,11 @@ class ThrowExpert(Expert):
         near, slow = SETTLED_LIMITS
         moving = np.abs(to_start).max() > near or np.abs(velocities).max() > slow
         if self._throwing < 0 and moving and self._steps < APPROACH_PATIENCE:
-            return robot.turning(self._approach(to_start).tolist(), 0.0)
+            # straight to the start, each joint in proportion, slow enough to stop there: v^2 = 2 a s
+            distance = max(float(np.abs(to_start).max()), 1e-9)
+            braking = (2 * DECELERATION * distance) ** 0.5 * period
+            steps = np.array(robot.joint_step) / np.maximum(np.abs(to_start), 1e-9)
+            return robot.turning((to_start * min(1.0, braking / distance, float(steps.min()))).tolist(), 0.0)
         self._throwing += 1
         accelerated = self._throwing * period > RAMP_SECONDS
         if not self._released and accelerated and self._release_now(positions, velocities):
@@ -335,14 +330,6 @@ class ThrowExpert(Expert):
         self._elapsed += elapsed
         changes = self._velocities * elapsed + self._correction + POSITION_GAIN * error
         return robot.turning(changes.tolist(), float(self._released > 0))
-
-    def _approach(self, to_start: Array) -> Array:
-        """Changes of the joints, in proportion, on a straight way to the start, `to_start` (n,) in rad ahead."""
-        distance = max(float(np.abs(to_start).max()), 1e-9)
-        braking = (2 * DECELERATION * distance) ** 0.5 * self._robot.period  # v^2 = 2 a s
-        steps = np.array(self._robot.joint_step) / np.maximum(np.abs(to_start), 1e-9)
-        changes: Array = to_start * min(1.0, braking / distance, float(steps.min()))
-        return changes
 
     def _landings(self, positions: Array, velocities: Array, times: Array) -> Array:
         """Landing distances (t,) for releases after `times` (t,) in s at the current joint velocities."""

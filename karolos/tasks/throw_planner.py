@@ -12,8 +12,7 @@ import numpy as np
 from ..core import Array
 from ..errors import UsageError
 from ..simulation.geometry import Vector
-from ..simulation.interface import RobotView
-from ..simulation.interface.engine import GRAVITY
+from ..simulation.interface import GRAVITY, RobotView
 
 LONGEST_FLIGHT = 3.0
 """Seconds that a flight is followed at the most; no robot throws higher than for 2."""
@@ -98,10 +97,10 @@ UNFOLDED_SHARE = 0.4
 """Smallest distance of the tool from the first swinging joint as a fraction of the largest, so that the hand does not
 meet the upper arm."""
 GRID_POINTS = 9
-"""Of the search along each joint; the grid then closes in on the best point."""
+"""Points of the search along each joint. The grid then closes in on the best point."""
 GRID_ROUNDS = 5
 FIRST_THROWS, NEXT_THROWS, KEPT_THROWS, SEARCH_ROUNDS = 3000, 300, 30, 16
-"""Of the search for the furthest throw: tried at first, and in each round near the best ones that were kept."""
+"""Throws tried at first, tried in each round, and kept, and rounds of the search for the furthest throw."""
 SLOWEST_SHARE = 0.3
 """Slowest throw as a fraction of the full speed."""
 

@@ -72,11 +72,10 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 
 
 def check_parts(spec: Spec, jobs: int = 1) -> str | None:
-    """Build the spec's parts once, so that what does not fit or fails at once is refused before anything runs.
+    """Build the spec's parts once, so that errors show before anything runs.
 
-    Makes the first steps of an episode, which compile what workers then load. Builds the agent and the buffer, and
-    discards them. Returns a note if a run of the spec may make no gradient update, or a sweep's objective may say
-    nothing.
+    Makes the first steps of an episode, which also compile the code that workers load. Builds agent and buffer, and
+    discards them. Returns a note if a run may make no gradient update, or if a sweep's objective may say nothing.
 
     Args:
         spec: to check.

@@ -162,14 +162,12 @@ class Episodes:
                 flags[environments] = received.step.success[reset]
             self._parameters[environments] = self._orchestrator.parameters(environments)
         stepped = received.select(~reset)
-        self._count(stepped.environment, stepped.step)
-        return received
-
-    def _count(self, environments: np.ndarray, step: Step) -> None:
+        environments, step = stepped.environment, stepped.step
         self._steps[environments] += 1
         self._total_reward[environments] += step.reward
         self._any[environments] |= step.success
         self._end[environments] = step.success
+        return received
 
     def record(self, environment: int, *, diverged: bool) -> Episode:
         """The record of the episode that this environment has just ended."""

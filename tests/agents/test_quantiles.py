@@ -10,8 +10,8 @@ import torch
 from pydantic import ValidationError
 from support.parts import batch, signature
 
+from karolos.agents.actor_critic import QuantileCritic, Quantiles
 from karolos.agents.inputs import tensor_batch
-from karolos.agents.quantiles import QuantileCritic, Quantiles
 from karolos.agents.sac import SAC
 from karolos.core.seeding import SeedTree
 

@@ -18,8 +18,7 @@ from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.robots.panda import Panda
 from karolos.simulation import engines, urdf
 from karolos.simulation.engines import Engine, make_world
-from karolos.simulation.interface import Body, Camera, JointLimits, Motors, Stroke, World
-from karolos.simulation.interface.engine import Material
+from karolos.simulation.interface import Body, Camera, JointLimits, Material, Motors, Stroke, World
 from karolos.simulation.parts import Mechanism
 from karolos.simulation.shapes import Capsule, Cuboid, Inertia, Sphere, inertia_of, volume_of
 from karolos.specification import spec_from_dict

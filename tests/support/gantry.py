@@ -13,8 +13,7 @@ from karolos.core.seeding import Generator
 from karolos.errors import PluginError, UsageError
 from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Orientations, Vector
-from karolos.simulation.interface import Body, Gripper, JointLimits, TaskNeeds, World
-from karolos.simulation.interface.engine import Ability
+from karolos.simulation.interface import Ability, Body, Gripper, JointLimits, TaskNeeds, World
 from karolos.simulation.kinematics import Configuration, Pose
 from karolos.simulation.shapes import Cuboid
 

@@ -8,7 +8,7 @@ from support.rig import ENGINES, expert_episode, made, part, values
 
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.simulation.interface.engine import FLOOR_FRICTION, GRAVITY
+from karolos.simulation.interface import FLOOR_FRICTION, GRAVITY
 
 SPEED = 1.0
 

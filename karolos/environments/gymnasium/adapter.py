@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
@@ -12,11 +12,22 @@ import numpy as np
 from pydantic import Field as Setting
 from pydantic import JsonValue, field_validator, model_validator
 
-from ...core import Array, Discrete, Environment, Field, FloatArray, Layout, Measure, Signature, Step
+from ...core import (
+    Array,
+    BoolArray,
+    Discrete,
+    Environment,
+    Field,
+    FloatArray,
+    GoalRule,
+    Layout,
+    Measure,
+    Signature,
+    Step,
+)
 from ...core import Settings as BaseSettings
 from ...errors import KarolosError, MachineError, PluginError, UsageError, described
 from ..action_set import action_index
-from .goals import GOALS, GymnasiumGoals
 
 ID_SETTING = "environment.id"
 MOST_ACTIONS = 100_000
@@ -150,7 +161,7 @@ class Gymnasium(Environment):
         self._return = 0.0
         self._last: Step | None = None
         self._info: Mapping[str, Any] = {}
-        """Of the last step."""
+        """The info of the last step."""
         self._seen = False
         """Whether observations were compared with their space."""
 
@@ -195,7 +206,7 @@ class Gymnasium(Environment):
         return self._last
 
     def _parts(self, found: Any, method: str, names: str) -> tuple[Any, ...]:
-        """What a method of the environment returned; of its first steps the observation is compared with the space."""
+        """Check the result of a method; of the first steps compare the observation with its space as well."""
         count = names.count(",") + 1
         if not isinstance(found, tuple) or len(found) != count or not isinstance(found[-1], Mapping):
             raise self._broken(f"{method} returns no tuple ({names}) with a dict at its end")
@@ -261,7 +272,7 @@ class Gymnasium(Environment):
 
 
 def make_environment(settings: Gymnasium.Settings) -> Any:
-    """What `gymnasium.make` makes, without its limit of steps. Raises UsageError or MachineError."""
+    """The environment of `gymnasium.make`, without its limit of steps. Raises UsageError or MachineError."""
     import gymnasium  # noqa: PLC0415  (its import takes .2 s, and settings are read without it)
 
     if (module := settings.id.rpartition(":")[0]) and (run := _run_that_holds(module)):
@@ -290,7 +301,7 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
         raise UsageError(
             _line(error), setting=ID_SETTING, hint="`python -m pip list` shows what could register it"
         ) from error
-    except Exception as error:  # the constructor is anybody's
+    except Exception as error:  # a constructor may raise anything
         raise UsageError(
             f"{settings.id} cannot be made: {described(error)}",
             setting="environment.kwargs" if settings.kwargs else ID_SETTING,
@@ -332,7 +343,7 @@ def _registered_steps(name: str) -> int | None:
 
 
 def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
-    """What is observed: all of the space, or all but the goals."""
+    """The observed space: all, or all but the goals."""
     from gymnasium import spaces  # noqa: PLC0415
 
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
@@ -396,3 +407,162 @@ def _action(space: Any) -> Layout | Discrete:
 def _line(what: object) -> str:
     """The first line of a message."""
     return (str(what).splitlines() or [type(what).__name__])[0]
+
+
+GOALS = ("achieved_goal", "desired_goal")
+PROBED_STEPS = 32
+"""Steps with random actions whose rewards are compared with `compute_reward` before the first episode."""
+GOALS_SETTING = "environment.goals"
+
+
+class GymnasiumGoals(GoalRule):
+    """Reward and termination by the environment's `compute_reward` and `compute_terminated`.
+
+    The environment stays behind when the rule is pickled; elsewhere the rule makes one of its own at its first use.
+
+    Args:
+        make: makes the environment; can be pickled.
+        env: made by it. Episodes are played in it to check the rule.
+        name: of the environment, for messages.
+        success_reward: reward from which a goal is reached; None: the reward where both goals are equal.
+        goal_terminates: whether reaching the goal ends an episode; None: as `compute_terminated` says.
+
+    Raises:
+        UsageError: goals that cannot be laid out flat, or a `compute_reward` that is missing, not vectorised, or
+            disagrees with the environment's rewards.
+    """
+
+    def __init__(
+        self,
+        make: Callable[[], Any],
+        env: Any,
+        name: str,
+        success_reward: float | None,
+        goal_terminates: bool | None,
+    ) -> None:
+        self._make = make
+        self._env: Any = env
+        self._name = name
+        spaces = [env.observation_space[goal] for goal in GOALS]
+        for goal, space in zip(GOALS, spaces, strict=True):
+            if not space.shape or (not np.issubdtype(space.dtype, np.number) and space.dtype != np.bool_):
+                raise UsageError(f"{goal} of {name}, {space}, is not an array of numbers", setting=GOALS_SETTING)
+        self._shapes = [tuple(space.shape) for space in spaces]
+        self._types = [space.dtype for space in spaces]
+        if not callable(self._method("compute_reward")):
+            raise UsageError(
+                f"{name} has no method compute_reward(achieved_goal, desired_goal, info), which hindsight needs",
+                setting=GOALS_SETTING,
+                hint="flatten_goals: true takes the goals as observations",
+            )
+        self._by_method = goal_terminates is None and callable(self._method("compute_terminated"))
+        self._goal_terminates = bool(goal_terminates)
+        self.success_reward = np.float32(0.0 if success_reward is None else success_reward)
+        self._probe(success_reward is not None)
+
+    def reward(self, achieved: Array, desired: Array) -> FloatArray:
+        return np.asarray(self._by_rows("compute_reward", achieved, desired), np.float32)
+
+    def success(self, achieved: Array, desired: Array) -> BoolArray:
+        return np.asarray(self.reward(achieved, desired) >= self.success_reward)
+
+    def terminated(self, achieved: Array, desired: Array) -> BoolArray:
+        if self._by_method:
+            return np.asarray(self._by_rows("compute_terminated", achieved, desired), np.bool_)
+        if self._goal_terminates:
+            return self.success(achieved, desired)
+        return super().terminated(achieved, desired)
+
+    def check_end(self, step: Step) -> None:
+        """Raise PluginError if a step ends its episode at the goal, or goes on there, and the rule says otherwise."""
+        if not step.success or self._by_method or bool(step.terminated) == self._goal_terminates:
+            return
+        does = "ends" if step.terminated else "does not end"
+        raise PluginError(
+            f"{self._name} {does} an episode that reaches its goal",
+            setting="environment.goal_terminates",
+            hint=f"set environment.goal_terminates={str(bool(step.terminated)).lower()}",
+        )
+
+    def detach(self) -> None:
+        """Forget the environment, which is closed."""
+        self._env = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**vars(self), "_env": None}
+
+    def _method(self, name: str) -> Any:
+        if self._env is None:
+            self._env = self._make()
+            self._env.reset(seed=0)
+        # a wrapper may have the method too; otherwise the environment has it
+        return getattr(self._env, name, None) or getattr(self._env.unwrapped, name, None)
+
+    def _by_rows(self, method: str, achieved: Array, desired: Array) -> Array:
+        """The method's result for goals (..., a) and (..., d), in the shape (...)."""
+        leading = np.shape(achieved)[:-1]
+        if 0 in leading:
+            return np.zeros(leading)
+        goals = [
+            np.asarray(goal).astype(dtype).reshape(-1, *shape)
+            for goal, dtype, shape in zip((achieved, desired), self._types, self._shapes, strict=True)
+        ]
+        compute, count = self._method(method), len(goals[0])
+        found = np.asarray(compute(*goals, {}))
+        if found.shape != (count,):  # `compute_terminated` is often written for one goal
+            found = np.array([compute(one, other, {}) for one, other in zip(*goals, strict=True)])
+        return found.reshape(leading)
+
+    def _probe(self, success_reward_is_set: bool) -> None:
+        """Play some steps and compare the environment's rewards with those of `compute_reward`."""
+        env = self._env
+        env.action_space.seed(0)
+        observation, _ = env.reset(seed=0)
+        seen = []
+        for _ in range(PROBED_STEPS):
+            observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+            seen.append((*(np.array(observation[goal]) for goal in GOALS), float(reward), info))
+            if terminated or truncated:
+                env.reset()
+        achieved, desired = (np.stack([step[place] for step in seen]) for place in (0, 1))
+        given = np.array([step[2] for step in seen])
+        try:
+            found = np.asarray(self._method("compute_reward")(achieved, desired, {}))
+            if found.shape != (PROBED_STEPS,):
+                raise ValueError(f"{PROBED_STEPS} goals give rewards of the shape {found.shape}")
+            best = None
+            if not success_reward_is_set:
+                best = np.asarray(self._method("compute_reward")(desired, desired, {}), np.float32)
+        except KarolosError:
+            raise
+        except Exception as error:  # a method may raise anything
+            line = (str(error).splitlines() or [""])[0]
+            raise UsageError(
+                f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
+                f"{type(error).__name__}: {line}",
+                setting=GOALS_SETTING,
+                hint="compute the rewards (n,) along the last axis, from the goals alone",
+            ) from error
+        wrong = np.flatnonzero(~np.isclose(given, found, rtol=1e-4, atol=1e-5))
+        if wrong.size:
+            raise UsageError(
+                f"{self._name} gave reward {given[wrong[0]]:g}, its compute_reward says {found[wrong[0]]:g}",
+                setting=GOALS_SETTING,
+                hint="hindsight needs a reward that depends on the two goals alone",
+            )
+        if best is not None:
+            if np.unique(given).size > 2 or np.ptp(best):
+                raise UsageError(
+                    f"{self._name} has dense rewards, which do not say when the goal is reached",
+                    setting="environment.success_reward",
+                    hint=f"give the reward of a step that reaches the goal; exactly at the goal it is {best[0] + 0:g}",
+                )
+            self.success_reward = best[0] + np.float32(0)  # not -0
+        for reward, info in ((step[2], step[3]) for step in seen):
+            success = bool(np.float32(reward) >= self.success_reward)
+            if bool(info.get("is_success", success)) != success:
+                raise UsageError(
+                    f"a reward of {reward:g} is{'' if success else ' not'} a success with success_reward "
+                    f"{self.success_reward:g}, and {self._name} says the opposite",
+                    setting="environment.success_reward",
+                )

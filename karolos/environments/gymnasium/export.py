@@ -41,7 +41,7 @@ class Observation(dict[str, NDArray[np.float32]]):
 
 
 class Goals:
-    """What gymnasium's goal environments answer about goals, of one environment or several."""
+    """The methods about goals of gymnasium's goal environments, for one environment or several."""
 
     def __init__(self, facts: Facts) -> None:
         if facts.signature.goal_rule is None:
@@ -51,7 +51,7 @@ class Goals:
 
     @property
     def spaces(self) -> tuple[gymnasium.spaces.Dict, gymnasium.Space[Any]]:
-        """Of one environment's observations, and of its actions."""
+        """The spaces of one environment's observations and actions."""
         signature = self.facts.signature
         sizes = {name: getattr(signature, name).size for name in OBSERVED}
         boxes: dict[str, gymnasium.Space[Any]] = {
@@ -62,7 +62,7 @@ class Goals:
         return gymnasium.spaces.Dict(boxes), gymnasium.spaces.Box(-1.0, 1.0, (signature.action.size,), np.float32)
 
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
-        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with what the step's info adds to it.
+        """Reward (...) of achieved goals (..., a) and desired goals (..., d), with the part of it in the step's info.
 
         A batch has a list of infos, or one info for all; with None or {} nothing is added.
         """
@@ -122,7 +122,7 @@ class GoalEnv(Goals, gymnasium.Env[Observation, NDArray[np.float32]]):
 
     @property
     def spec(self) -> EnvSpec | None:
-        """What `gymnasium.make` sets, with the environment's own number of steps."""
+        """The spec that `gymnasium.make` sets, with the environment's own number of steps."""
         return self._spec
 
     @spec.setter
@@ -215,7 +215,7 @@ class RobotTaskEnv(GoalEnv):
 
 
 class SpecEnv(GoalEnv):
-    """What a spec describes, with all its settings. `render_mode`, `width` and `height` as of `GoalEnv`.
+    """The environment of a spec, with all its settings. `render_mode`, `width` and `height` as of `GoalEnv`.
 
     `gymnasium.make(environment.spec)` makes another one, `gymnasium.make_vec(environment.spec, num_envs=8)` several.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..engines import BULLET
 from ..geometry import Quaternion, Vector, matrix_of
-from ..interface.engine import FINGER_RATE, OPENS, PHYSICS_RATE, Body, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface import FINGER_RATE, OPENS, PHYSICS_RATE, Body, Fingers, Frame, JointLimits, Loads, Spring
 from .body import BulletBody
 
 STABLE_DAMPING = 0.5
@@ -159,15 +159,12 @@ class BulletMotors:
     def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         self._begin, self._end, self._openings = begin, end, openings
 
-    def _move_fingers(self, opening: float) -> None:
-        if self._fingers is not None:
-            self._anchor_unless(opens=opening > self._opening + OPENS)
-            self._drive_finger(targetPosition=self._fingers.position(opening))
-
     def substep(self, step: int) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end."""
-        if step in self._openings:
-            self._move_fingers(self._openings[step])
+        if self._fingers is not None and step in self._openings:
+            opening = self._openings[step]
+            self._anchor_unless(opens=opening > self._opening + OPENS)
+            self._drive_finger(targetPosition=self._fingers.position(opening))
         fraction = self._fractions[step]
         speeds = [first + fraction * (last - first) for first, last in zip(self._begin, self._end, strict=True)]
         self._drive_arm(targetVelocities=speeds, forces=self._torques, velocityGains=self._gains)
@@ -198,7 +195,7 @@ class BulletMotors:
         self._share = 1 - exp(-self._timestep / seconds) if seconds else 1.0
 
     def feel(self, share: float | None = None) -> None:
-        """Take what contacts did to the hand in the last physics step into the wrench, with its low-pass's share."""
+        """Update the low-passed wrench by the contacts of the hand in the last physics step."""
         if self._tool is None:
             return
         share = self._share if share is None else share

@@ -19,7 +19,7 @@ from .. import parts
 from ..engines import BULLET
 from ..fixtures import read
 from ..geometry import Colour, Quaternion, Vector
-from ..interface.engine import (
+from ..interface import (
     FLOOR_FRICTION,
     GRAVITY,
     PHYSICS_RATE,
@@ -36,8 +36,7 @@ from ..meshes import stl, triangles
 from ..parts import Mechanism
 from ..picture import FLOOR_COLOUR, GRID_COLOUR, GRIDS, SKY_COLOUR, Eye, Marker, draw
 from ..shapes import Inertia, Mesh, Shape, inertia_of
-from .body import BulletBody
-from .client import Client
+from .body import BulletBody, Client
 from .motors import BulletMotors
 
 FLOOR_HALF = (5.0, 5.0, 0.5)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import UPRIGHT, Quaternion, Vector
-from ..interface.engine import OBJECT_MATERIAL, LinkState, Material
+from ..interface import OBJECT_MATERIAL, LinkState, Material
 from .simulation import Simulation
 
 LINK_FRICTION = 0.5
@@ -40,7 +40,7 @@ class MujocoBody:
         self.pairs: set[tuple[int, int]] = set()
         """Links that collide with each other."""
         self.passive_joints: dict[str, int] = {}
-        """Of a mechanism, by name; `passive` moves them."""
+        """Joints of a mechanism by name; `passive` moves them."""
         self.passive: Any = None
         self._simulation = simulation
         self._names = names

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..geometry import Quaternion, Vector
-from ..interface.engine import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
+from ..interface import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
 from .body import MujocoBody
 from .simulation import Simulation
 
@@ -89,7 +89,7 @@ class MujocoMotors:
             self._find_tool(model, self._tool)
 
     def _find_tool(self, model: Any, tool: Frame) -> None:
-        """Fill in this arm's row of what the kernel knows of tools."""
+        """Fill in this arm's row of the kernel's table of tools."""
         size, dofs = self._size, self._dofs
         self._place = row = self._simulation.arms.index(self)
         self._row = own = self._simulation.tools[row]
@@ -130,7 +130,7 @@ class MujocoMotors:
         model.body_inertia[self._moving] *= self._mass
         force = [self._fingers.gripper.force] * 2 if self._fingers else []
         dofs = self._dofs
-        share = 1 - self._friction if self._spring is None else self._friction  # a spring moves what friction holds
+        share = 1 - self._friction if self._spring is None else self._friction  # a spring moves against the friction
         model.dof_frictionloss[dofs] = [*(share * effort for effort in self.limits.effort), *force]
         model.dof_solimp[dofs] = MOTOR_IMPEDANCE
         damping = self._own_damping.copy()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import MachineError, PluginError
-from ..interface.engine import GRAVITY
+from ..interface import GRAVITY
 
 IMPEDANCE_RATIO = 100.0
 """Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
@@ -55,8 +55,8 @@ class Simulation:
     Args:
         substeps: physics steps per control step.
         timestep: seconds of a physics step.
-        declare: adds what depends on all bodies to the spec, before it is compiled.
-        write: writes the parameters of what `declare` added into the model.
+        declare: adds parts that depend on all bodies to the spec, before it is compiled.
+        write: writes the parameters of these parts into the model.
 
     Attributes:
         parts: bodies and motors. After a compilation each finds its places in the model; then it writes its parameters,
