@@ -23,15 +23,13 @@ from . import db, inspect, plugins, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare, diff
-from .export import export
 from .output import say
-from .play import play
+from .policy import export, play, zero_shot
 from .run import resume, run
 from .suite import suite
 from .sweep import sweep
 from .transfer import transfer
 from .ui import ui
-from .zero_shot import zero_shot
 
 OBJECTS_PER_COLLECTION = 50_000
 """New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
