@@ -23,13 +23,11 @@ from . import db, inspect, plugins, robot, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare, diff
-from .export import export
 from .output import say
 from .plans import suite, sweep, transfer
-from .play import play
+from .policy import export, play, zero_shot
 from .run import resume, run
 from .ui import ui
-from .zero_shot import zero_shot
 
 OBJECTS_PER_COLLECTION = 50_000
 """New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on

@@ -24,8 +24,7 @@ from ..statistics.intervals import wilson
 from ..statistics.reaching import first_reaching, median_reaching
 from ..store import Store
 from ..store.experiments import success_densities
-from .cautions import cautions
-from .contenders import Contender
+from .contenders import Contender, cautions
 from .curves import densities, places
 from .differences import MISSING, differences
 

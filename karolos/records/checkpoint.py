@@ -2,16 +2,17 @@
 
     <name>/<part>.pt        one file per part, written by torch.save, read with weights_only=True and nothing else
     <name>/manifest.json    format, meta, size and sha256 of each file, array files, sha256 of itself; written last
-    .arrays/                large arrays in files that checkpoints share (`karolos.records.array_files`)
+    .arrays/                large arrays in files of 1 MiB that are named by their content and shared by checkpoints
 
 A new checkpoint is written into another folder and takes the place of the old one by renaming. If the process is
 killed between the two renames, `load` finds the old one in `.<name>.previous`.
 
 Torch's safe reader knows only tensors, containers and plain values. Therefore a numpy array is stored as a tensor of
 its bytes with dtype and shape, and an integer of more than 64 bits as hexadecimal text; both are dictionaries with the
-key `__karolos__`. A large array is stored in array files, and the dictionary names them. All come back bit for bit:
-dtype, shape, byte order, NaN payloads, -0.0. Arrays come back in C order, mappings as plain dictionaries, tensors on
-the CPU. Torch is imported when a function is called.
+key `__karolos__`. A large array is stored in array files, and the dictionary names them: a replay buffer of a gigabyte
+changes little between two checkpoints, and only the files that changed are written. All come back bit for bit: dtype,
+shape, byte order, NaN payloads, -0.0. Arrays come back in C order, mappings as plain dictionaries, tensors on the CPU.
+Torch is imported when a function is called.
 """
 
 from __future__ import annotations
@@ -22,7 +23,7 @@ import json
 import os
 import pickle
 import re
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -33,7 +34,6 @@ from .. import system
 from ..core import State
 from ..errors import RunError
 from ..files import below, parse_object, write_json, writing
-from .array_files import ArrayFileError, ArrayFiles
 
 if TYPE_CHECKING:
     import torch
@@ -44,6 +44,11 @@ PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
 """Names of checkpoints and of their parts."""
 LARGE = 1 << 18
 """Bytes from which an array is stored in array files."""
+SIZE = 1 << 20
+"""Bytes of a file; the last one of an array is shorter."""
+_ARRAY_NAME = re.compile(r"[0-9a-f]{64}")
+_SOUND: set[Path] = set()
+"""Files that this process has written or compared, and need not read again."""
 _MANIFEST, _ARRAYS = "manifest.json", ".arrays"
 _MANIFEST_BYTES = 1 << 24
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
@@ -51,6 +56,84 @@ _TAG = "__karolos__"
 _WORD = range(-(1 << 63), 1 << 63)
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
 """Errors of torch's reader and `decode` on files that only look like checkpoints."""
+
+
+class ArrayFileError(ValueError):
+    """An array file that is missing, damaged or has an invalid name."""
+
+
+class ArrayFiles:
+    """The array files in one folder, which is created with the first file."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.used: set[str] = set()
+        """Names that `write` returned: `remove_unused` must keep them."""
+
+    def write(self, data: np.ndarray) -> list[str]:
+        """Write the bytes of a flat uint8 array to the disk; returns the names of its files (sha256), in order.
+
+        Raises:
+            OSError: the disk is full or the folder cannot be written; every file is complete or missing.
+        """
+        view = data.data
+        names = [self._write_file(view[start : start + SIZE]) for start in range(0, len(view), SIZE)]
+        self.used.update(names)
+        return names
+
+    def sync(self) -> None:
+        """Make the names survive a power cut; called once after all files of a checkpoint are written."""
+        if self.folder.is_dir():
+            system.sync_folder(self.folder)
+
+    def read(self, names: Sequence[str], size: int) -> np.ndarray:
+        """The `size` bytes that `write` wrote: a flat uint8 array.
+
+        Raises:
+            ArrayFileError: a file is missing or damaged.
+        """
+        found = np.empty(size, np.uint8)
+        start = 0
+        for name in names:
+            if not isinstance(name, str) or not _ARRAY_NAME.fullmatch(name):
+                raise ArrayFileError(f"{name!r} is not the name of an array file")
+            try:
+                data = (self.folder / name).read_bytes()
+            except OSError as error:
+                raise ArrayFileError(f"the array file {name[:12]} cannot be read ({error.strerror})") from error
+            if hashlib.sha256(data).hexdigest() != name or start + len(data) > size:
+                raise ArrayFileError(f"the array file {name[:12]} was changed")
+            found[start : start + len(data)] = np.frombuffer(data, np.uint8)
+            start += len(data)
+        if start != size:
+            raise ArrayFileError(f"the array files hold {start:,} bytes instead of {size:,}")
+        return found
+
+    def remove_unused(self, used: Collection[str]) -> None:
+        """Remove files that no checkpoint uses, also those that a killed process left incomplete."""
+        if not self.folder.is_dir():
+            return
+        for path in self.folder.iterdir():
+            if path.name not in used:
+                system.remove(path, missing_ok=True)
+                _SOUND.discard(path)
+
+    def _write_file(self, data: memoryview) -> str:
+        name = hashlib.sha256(data).hexdigest()
+        place = self.folder / name
+        complete = place.exists() and place.stat().st_size == len(data)
+        if complete and (place in _SOUND or place.read_bytes() == data):  # later checkpoints would use a damaged one
+            _SOUND.add(place)
+            return name
+        self.folder.mkdir(parents=True, exist_ok=True)
+        fresh = self.folder / f".{name}.{os.getpid()}"
+        with fresh.open("wb") as file:
+            file.write(data)
+            file.flush()
+            system.sync(file.fileno())
+        system.replace(fresh, place)
+        _SOUND.add(place)
+        return name
 
 
 class CheckpointError(RunError):

@@ -8,7 +8,7 @@ from pathlib import Path
 import imageio.v3 as imageio
 import numpy as np
 import pytest
-from karolos_cli.play import play
+from karolos_cli.policy import play
 from support.commands import Terminal, call
 from support.toy_runs import toy
 from typer import Typer

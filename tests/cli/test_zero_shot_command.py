@@ -7,9 +7,8 @@ import shutil
 from pathlib import Path
 
 import pytest
-from karolos_cli.export import export
+from karolos_cli.policy import export, zero_shot
 from karolos_cli.runs import show
-from karolos_cli.zero_shot import zero_shot
 from support.commands import call
 from support.toy_runs import run_of, toy
 from typer import Typer

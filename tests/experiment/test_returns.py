@@ -11,7 +11,7 @@ import karolos_cli.runs
 import pytest
 from karolos_cli.compare import compare
 from karolos_cli.display import Plain
-from karolos_cli.play import play
+from karolos_cli.policy import play
 from support.commands import call
 from support.run_samples import stored
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator

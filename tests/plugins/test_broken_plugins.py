@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from karolos_cli.check import check as check_spec
 from karolos_cli.inspect import app as inspect_app
-from karolos_cli.play import play
 from karolos_cli.plugins import app
+from karolos_cli.policy import play
 from support.commands import call
 from typer import Typer
 from typer.testing import CliRunner

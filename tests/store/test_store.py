@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from sqlalchemy import create_engine, make_url, select, update
 from support.databases import KINDS, empty_database
-from support.run_samples import SPEC, bare, indexed_run, new_run, result, stored
+from support.run_samples import bare, indexed_run, new_run, result, stored
 
 from karolos.errors import MachineError, NoSuchRunError, StoreError, UsageError
 from karolos.records import RunFolder, labels
@@ -69,13 +69,6 @@ def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_p
     store.add_records([run.record()])
     assert store.fetch(select(SUCCESSES)) == []
     assert stored(store, run.id).tests == run.record().tests
-
-
-def test_run_comes_with_its_spec_without_seeds_and_its_versions(store: Store, tmp_path: Path) -> None:
-    run = indexed_run(store, tmp_path)
-    record = stored(store, run.id)
-    assert record.spec == {key: value for key, value in SPEC.items() if key != "seeds"}
-    assert record.versions == run.record().versions != {}
 
 
 def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:

@@ -151,7 +151,14 @@ def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> 
     assert '<a href="/suites">' in report.text  # a way back
     assert page.get(str(report.url.join(f"../../{run}"))).status_code == 200
     assert report.headers["content-security-policy"].startswith("sandbox")
-    for hidden in ("a%20b/secret", "%2e%2e%2fx/report.html", "c/report.html", "%00/report.html", "a" * 5000 + "/x"):
+    for hidden in (
+        "a%20b/secret",
+        "%2e%2e%2fx/report.html",
+        "c/report.html",
+        "%00/report.html",
+        "%FF/x",
+        "a" * 5000 + "/x",
+    ):
         assert page.get(f"/runs/suites/{hidden}").status_code == 404
 
 
@@ -263,11 +270,6 @@ def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_p
     [row] = experiment_rows(store, find_experiments(store).experiments)
     assert row.name == "reach-mine, reach"
     assert (row.value, "1 of 2 seeds not finished, left out" in row.interval) == ("0.950", True)
-
-
-@pytest.mark.parametrize("name", ["%00", "a" * 5000, "%F0%9F%98%80" * 2000, "..%2f..", "%FF"])
-def test_a_name_that_no_file_can_have_is_not_found(name: str, tmp_path: Path) -> None:
-    assert client(tmp_path).get(f"/reports/sweeps/{name}").status_code == 404
 
 
 def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path: Path) -> None:

@@ -7,8 +7,7 @@ import pytest
 from support.compared_runs import SPEC, contender, run
 
 from karolos.comparison import Contender, compare
-from karolos.comparison.cautions import cautions
-from karolos.comparison.contenders import one_per_seed, repeated
+from karolos.comparison.contenders import cautions, one_per_seed, repeated
 
 A = contender("a", [[50], [60]])
 
