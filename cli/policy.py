@@ -248,6 +248,9 @@ def export(
         bool | None,
         typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
     ] = None,
+    bundle: Annotated[
+        bool, typer.Option("--bundle", help="Write everything that a robot's computer needs, for karolos-deploy.")
+    ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -258,11 +261,18 @@ def export(
     in [-1, 1], or the index of a discrete action. policy.json says what each number means.
     """
     folder = open_run(run, runs, database)
-    from karolos.export.export import export_policy
     from karolos.records.shipped import is_shipped
 
-    out = out or (Path(run) if is_shipped(folder) else folder.path / "export")
-    done = export_policy(folder, out, checkpoint=chosen_checkpoint(folder, checkpoint), onnx=onnx)
+    out = out or (Path(run) if is_shipped(folder) else folder.path / ("bundle" if bundle else "export"))
+    chosen = chosen_checkpoint(folder, checkpoint)
+    if bundle:
+        from karolos.export.bundle import export_bundle
+
+        done = export_bundle(folder, out, checkpoint=chosen)
+    else:
+        from karolos.export.export import export_policy
+
+        done = export_policy(folder, out, checkpoint=chosen, onnx=onnx)
     row = {"run": folder.id, "checkpoint": done.checkpoint, "steps": done.steps, "folder": str(done.folder)}
     files = [path.name for path in done.files]
     row |= {"files": files if json else " ".join(files), "error": done.error}

@@ -1,5 +1,5 @@
-"""Policies for use without karolos: a file for numpy alone, and ONNX."""
+"""Policies for use without karolos: a file for numpy alone, ONNX, and bundles for robots."""
 
-from .numpy_policy import NumpyPolicy
+from karolos_deploy.policy import NumpyPolicy
 
 __all__ = ["NumpyPolicy"]

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from karolos_deploy.policy import FORMAT, NumpyPolicy
 
 from .. import __version__
 from ..core import Deployed, Discrete, Layout
@@ -24,7 +25,6 @@ from ..errors import RunError
 from ..evaluation.policies import SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
 from ..records import RunFolder
-from .numpy_policy import FORMAT, NumpyPolicy
 from .onnx_file import check_onnx, run_onnx, write_onnx
 
 GOLDEN_ROWS = 64

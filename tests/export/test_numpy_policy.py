@@ -9,9 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from karolos_deploy import policy as numpy_policy
 from support.exported_policies import trained
 
-from karolos.export import NumpyPolicy, numpy_policy
+from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy
 
 pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once

@@ -18,7 +18,7 @@ from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.policies import engine_of, load_agent, signature_of
 from karolos.evaluation.zero_shot import zero_shot_test
 from karolos.experiment.start_from import apply, find, pinned
-from karolos.export.numpy_policy import NumpyPolicy
+from karolos.export import NumpyPolicy
 from karolos.records import RunFolder
 from karolos.records.evaluation import Evaluation
 from karolos.records.shipped import FOLDER, POLICY, shipped_names

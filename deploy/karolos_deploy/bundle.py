@@ -1,0 +1,142 @@
+"""A bundle: the folder that `karolos export --bundle` writes, read and checked."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from .kinematics import Array, Chain, chain_of
+from .policy import NumpyPolicy
+from .readings import Observer, Reading
+
+FORMAT = 1
+"""Version of a bundle's layout."""
+SUMS = "SHA256SUMS"
+TOLERANCE = 1e-4
+"""How far a golden action or observation may be away: sums of float32 numbers in another order."""
+
+Policy = Callable[[Any, Any], Any]
+
+
+class BundleError(Exception):
+    """A bundle cannot be used: one line that says what is wrong and what to do."""
+
+
+class Bundle:
+    """A policy with the contract of its inputs and outputs. Every file is checked against its SHA-256.
+
+    Args:
+        folder: of the bundle.
+        onnx: whether onnxruntime runs policy.onnx; otherwise numpy runs policy.npz.
+
+    Attributes:
+        contract: what policy.yaml says under `karolos`.
+
+    Raises:
+        BundleError: a file is missing or changed, the format is another one, or the policy does not act as recorded.
+    """
+
+    def __init__(self, folder: str | PathLike[str], *, onnx: bool = False) -> None:
+        self.folder = Path(folder)
+        check_sums(self.folder)
+        with (self.folder / "policy.yaml").open(encoding="utf-8") as file:
+            whole = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+        self.contract: dict[str, Any] = whole["karolos"]
+        if self.contract["format"] != FORMAT:
+            raise BundleError(f"{folder} has format {self.contract['format']}; this version reads format {FORMAT}")
+        self.chain: Chain = chain_of(self.contract)
+        self.policy: Policy = _onnx_policy(self.folder) if onnx else NumpyPolicy(self.folder / "policy.npz")
+        with np.load(self.folder / "golden.npz", allow_pickle=False) as golden:
+            found = self.policy(golden["observation"], golden["desired_goal"])
+            self._compare("golden.npz", "action", found, golden["action"])
+
+    def episode(self) -> dict[str, Array]:
+        """The logged episode, by column: one row for each control step."""
+        with np.load(self.folder / "episode.npz", allow_pickle=False) as file:
+            return dict(file)
+
+    def replay_episode(self) -> int:
+        """Build each observation of the logged episode from its readings, and act, without a robot; the steps.
+
+        Raises BundleError where observation or action is not the recorded one.
+        """
+        logged, observer = self.episode(), Observer({**self.contract, "wrench": {"filter": 0.0}})  # logged after it
+        for step, time in enumerate(logged["time"]):
+            measured = {name: logged[f"measured_{name}"][step] for name in observer.measured}
+            reading = Reading(
+                float(time),
+                logged["positions"][step],
+                logged["velocities"][step],
+                logged["wrench"][step],
+                float(logged["opening"][step]),
+                measured,
+            )
+            observer.feel(reading)
+            observer.overloaded = bool(logged["overloaded"][step])
+            observation = observer(reading, self.chain.at(reading.positions), logged["set_point"][step])
+            self._compare(f"step {step} of episode.npz", "observation", observation, logged["observation"][step])
+            action = self.policy(observation, logged["desired_goal"][step])
+            self._compare(f"step {step} of episode.npz", "action", action, logged["action"][step])
+        return len(logged["time"])
+
+    def _compare(self, where: str, what: str, found: Any, wanted: Any) -> None:
+        error = float(np.abs(np.asarray(found, float) - wanted).max())
+        if not error <= TOLERANCE * max(1.0, float(np.abs(wanted).max())):
+            raise BundleError(
+                f"golden mismatch: {where}: the {what} differs by {error:.2g}; do not use this bundle here"
+            )
+
+
+def check_sums(folder: Path) -> None:
+    """Raise BundleError for a file of the bundle that is missing or changed, or that its list does not name."""
+    try:
+        lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
+        listed = {name: digest for digest, name in (line.split("  ", 1) for line in lines)}
+    except (OSError, ValueError):
+        raise BundleError(f"{folder} has no readable {SUMS}; `karolos export RUN --bundle` writes a bundle") from None
+    for name, digest in listed.items():
+        try:
+            found = hashlib.sha256((folder / name).read_bytes()).hexdigest()
+        except OSError:
+            raise BundleError(f"{folder / name} is missing; copy the whole bundle again") from None
+        if found != digest:
+            raise BundleError(f"{folder / name} was changed or damaged; copy the whole bundle again")
+    for needed in ("policy.yaml", "policy.npz", "golden.npz", "episode.npz"):
+        if needed not in listed:
+            raise BundleError(f"{folder / SUMS} does not name {needed}; copy the whole bundle again")
+
+
+def write_sums(folder: Path) -> None:
+    """Write the list of files that `check_sums` reads; `sha256sum -c` reads it, too."""
+    names = sorted(path.name for path in folder.iterdir() if path.name != SUMS)
+    lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in names]
+    (folder / SUMS).write_text("".join(lines), encoding="utf-8", newline="\n")
+
+
+def write_yaml(path: Path, whole: dict[str, Any]) -> None:
+    """Write policy.yaml: plain data, a column of numbers in one line."""
+    path.write_text(yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=120), encoding="utf-8")
+
+
+def _onnx_policy(folder: Path) -> Policy:
+    try:
+        import onnxruntime  # noqa: PLC0415  (optional)
+    except ImportError:
+        raise BundleError("onnxruntime is missing; pip install 'karolos-deploy[onnx]', or leave out --onnx") from None
+    if not (folder / "policy.onnx").is_file():
+        raise BundleError(f"{folder} has no policy.onnx; leave out --onnx")
+    session = onnxruntime.InferenceSession(str(folder / "policy.onnx"), providers=["CPUExecutionProvider"])
+    names = [one.name for one in session.get_inputs()]
+
+    def act(observation: Any, desired_goal: Any) -> Any:
+        rows = {"observation": np.atleast_2d(observation), "desired_goal": np.atleast_2d(desired_goal)}
+        (found,) = session.run(["action"], {name: np.asarray(rows[name], np.float32) for name in names})
+        return found if np.ndim(observation) > 1 else found[0]
+
+    return act

@@ -1,0 +1,91 @@
+"""Drivers connect the executor with a robot. Each is a class behind an entry point of `karolos_deploy.drivers`."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any, ClassVar
+
+from ..bundle import Bundle, BundleError
+from ..readings import Reading, SetPoint
+
+GROUP = "karolos_deploy.drivers"
+
+
+class Driver:
+    """The contract of a driver.
+
+    The executor calls `connect`, then `begin` for each episode, then in each cycle `read`, `send` and `wait`; after a
+    fault or at the end `stop`, and `close`. A driver raises `Fault` where the robot or the connection fails, and sends
+    nothing after `stop`.
+
+    Args:
+        bundle: what will be run.
+        settings: texts by name, from `--set NAME=VALUE`; a driver refuses names that it does not know.
+    """
+
+    settings: ClassVar[Mapping[str, str]] = {}
+    """Names of settings and their defaults."""
+    modes: ClassVar[tuple[str, ...]] = ("joint", "cartesian", "pose", "impedance")
+    """Control modes that the driver can follow."""
+
+    def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
+        self.bundle = bundle
+        if unknown := sorted(set(settings) - set(self.settings)):
+            known = ", ".join(f"{name}={value}" for name, value in self.settings.items())
+            raise BundleError(f"the driver has no setting {', '.join(unknown)}; it has {known}")
+        self.values = {**self.settings, **settings}
+        if (mode := bundle.contract["control"]["mode"]) not in self.modes:
+            raise BundleError(f"this driver cannot follow {mode} control; it follows {', '.join(self.modes)}")
+
+    def number(self, name: str) -> float:
+        """A setting as a number."""
+        try:
+            return float(self.values[name])
+        except ValueError:
+            raise BundleError(f"the setting {name} is {self.values[name]!r}; give a number") from None
+
+    def now(self) -> float:
+        """The time in s by which the executor works."""
+        return time.perf_counter()
+
+    def wait(self, until: float) -> None:
+        """Return at this time."""
+        while (left := until - self.now()) > 0:
+            time.sleep(left)
+
+    def connect(self) -> dict[str, Any]:
+        """Connect; what is known of the robot: `name`, `gripper`, `joints` (their number), `payload` in kg."""
+        raise NotImplementedError
+
+    def begin(self, episode: int) -> list[float] | None:
+        """Make ready for an episode; its goal, if the driver knows one."""
+        raise NotImplementedError
+
+    def read(self) -> Reading | None:
+        """The newest reading; None if there is none since the last call. Does not wait."""
+        raise NotImplementedError
+
+    def send(self, point: SetPoint) -> None:
+        """Have the robot follow a set point from now on."""
+        raise NotImplementedError
+
+    def stop(self) -> None:
+        """Bring the robot to a controlled stop. Must not raise."""
+
+    def outcome(self) -> bool | None:
+        """Whether the episode ends in success; None: the driver does not know."""
+        return None
+
+    def close(self) -> None:
+        """End the connection. Must not raise."""
+
+
+def find(name: str) -> type[Driver]:
+    """The class of a driver. Raises BundleError for an unknown name."""
+    installed = {one.name: one for one in entry_points(group=GROUP)}
+    if name not in installed:
+        raise BundleError(f"no driver is called {name!r}; installed are {', '.join(sorted(installed))}")
+    found: type[Driver] = installed[name].load()
+    return found

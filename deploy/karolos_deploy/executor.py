@@ -1,0 +1,256 @@
+"""The executor: reads the robot, acts at the policy's rate, and sends set points at the robot's, or stops."""
+
+from __future__ import annotations
+
+import gc
+import json
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import IO, Any
+
+import numpy as np
+
+from .bundle import Bundle, BundleError
+from .drivers import Driver
+from .faults import Fault, Watch
+from .kinematics import Array
+from .motion import Motion
+from .readings import Observer, Reading, SetPoint
+
+PATIENCE = 5.0
+"""Seconds in which the first reading must come."""
+
+
+@dataclass
+class Outcome:
+    """How an episode went."""
+
+    steps: int = 0
+    """Actions of the policy."""
+    success: bool | None = None
+    """None: the driver does not know."""
+    cycles: list[float] = field(default_factory=list)
+    """Seconds that each cycle computed."""
+    actions: list[Array] = field(default_factory=list)
+
+    @property
+    def slowest(self) -> float:
+        """99 of 100 cycles took no longer, s."""
+        return float(np.quantile(self.cycles, 0.99)) if self.cycles else 0.0
+
+
+class Executor:
+    """Runs a bundle on a robot.
+
+    Args:
+        bundle: the policy and its contract.
+        driver: connected or not; `connect` is called by `check`.
+        rate: set points per second.
+        log: file to write every cycle to; None: none.
+    """
+
+    def __init__(self, bundle: Bundle, driver: Driver, *, rate: float, log: Path | None = None) -> None:
+        self.bundle, self.driver, self.rate = bundle, driver, rate
+        contract = bundle.contract
+        if not contract["control"]["rate"] <= rate <= 1000:
+            raise BundleError(f"a rate of {rate:g} Hz is not possible; it is {contract['control']['rate']:g} to 1000")
+        self.late: float = contract["limits"]["late"]
+        self._log = Log(log, bundle, rate) if log is not None else None
+
+    def check(self) -> None:
+        """Connect, and raise Fault if this is not the robot that the policy was trained for."""
+        Watch(self.bundle.contract, self.late).identity(self.driver.connect(), self.bundle.contract)
+
+    def run(
+        self, episode: int = 0, goal: list[float] | None = None, *, move: bool = True, steps: int | None = None
+    ) -> Outcome:
+        """Run one episode, and stop the robot at its end.
+
+        Args:
+            episode: number of the episode, for drivers that reset something.
+            goal: desired goal (g,); None: the driver's, or else that of the logged episode.
+            move: whether to send set points; otherwise the policy acts, and nothing is sent.
+            steps: actions of the policy; None: as many as an episode of training has.
+
+        Raises:
+            Fault: the robot was stopped; no set point was sent after the fault.
+        """
+        outcome = Outcome()
+        collecting = gc.isenabled()
+        try:
+            told = self.driver.begin(episode)
+            wanted = self._goal(told if goal is None else goal)
+            gc.disable()  # a collection takes longer than a cycle
+            self._run(outcome, wanted, move, steps or self.bundle.contract["episode"]["steps"])
+            outcome.success = self.driver.outcome()
+        finally:
+            self.driver.stop()
+            if collecting:
+                gc.enable()
+            if self._log is not None:
+                self._log.flush()
+        return outcome
+
+    def _goal(self, given: list[float] | None) -> Array:
+        size = sum(one["size"] for one in self.bundle.contract["desired_goal"])
+        if given is None:
+            return np.asarray(self.bundle.episode()["desired_goal"][0])
+        if len(given) != size or not np.isfinite(given).all():
+            raise BundleError(f"the goal has {len(given)} numbers; it needs {size}, see the page of the bundle")
+        return np.array(given, np.float32)
+
+    def _first(self, watch: Watch) -> Reading:
+        """The first reading."""
+        begin = self.driver.now()
+        while self.driver.now() - begin < PATIENCE:
+            reading = self.driver.read()
+            if reading is not None and watch.look(reading, self.driver.now()):
+                return reading
+            self.driver.wait(self.driver.now() + 1 / self.rate)
+        raise Fault("late reading", f"the robot told nothing for {PATIENCE:g} s")
+
+    def _run(self, outcome: Outcome, goal: Array, move: bool, steps: int) -> None:
+        bundle, driver = self.bundle, self.driver
+        contract, chain, cycle = bundle.contract, bundle.chain, 1 / self.rate
+        watch, observer, motion = Watch(contract, self.late), Observer(contract), Motion(contract, chain)
+        latest = self._first(watch)
+        watch.start(latest, contract)
+        at = chain.at(latest.positions)
+        motion.reset(latest.positions, at)
+        observer.feel(latest)
+        begin = driver.now()
+        while True:
+            began, now = perf_counter(), driver.now()
+            planned = begin + len(outcome.cycles) * cycle
+            if now - planned > self.late:
+                raise Fault("late cycle", f"this computer is {1000 * (now - planned):.0f} ms behind")
+            reading = driver.read() if outcome.cycles else latest
+            if watch.look(reading, now):
+                assert reading is not None
+                latest, at = reading, chain.at(reading.positions)
+                observer.feel(reading)
+                watch.tool(at, observer.wrench)
+            if now >= begin + outcome.steps / contract["control"]["rate"] - cycle / 2:
+                if outcome.steps == steps:
+                    return
+                observation = observer(latest, at, motion.set_point_from(at))
+                action = np.asarray(bundle.policy(observation, goal), float)
+                outcome.actions.append(action)
+                outcome.steps += 1
+                if move:
+                    motion.plan(action, latest.positions, at, now)
+            point = motion.at(now, cycle) if move else None
+            if point is not None:
+                driver.send(point)
+            if self._log is not None:
+                self._log.add(now, latest, goal, outcome.steps, point)
+            outcome.cycles.append(perf_counter() - began)
+            driver.wait(planned + cycle)
+
+
+class Log:
+    """A file with every cycle: one line of JSON that names the columns, then rows of float64.
+
+    Args:
+        path: of the file.
+        bundle: whose cycles they are.
+        rate: of the robot.
+    """
+
+    def __init__(self, path: Path, bundle: Bundle, rate: float) -> None:
+        contract = bundle.contract
+        self._measured = {one["name"]: one["size"] for one in contract["observation"] if one["formula"] == "measured"}
+        joints, goal = len(contract["joints"]), sum(one["size"] for one in contract["desired_goal"])
+        self._size = 13 if contract["control"]["mode"] == "impedance" else 2 * joints + 1
+        sizes = {"now": 1, "time": 1, "step": 1, "goal": goal, "positions": joints, "velocities": joints, "wrench": 6}
+        sizes |= {"opening": 1, **{f"measured_{name}": size for name, size in self._measured.items()}}
+        sizes |= {"set_point": self._size}
+        self._file: IO[bytes] = path.open("wb")
+        head = {"format": 1, "run": contract["run"]["id"], "rate": rate, "columns": sizes}
+        self._file.write(json.dumps(head).encode() + b"\n")
+
+    def add(self, now: float, reading: Reading, goal: Array, step: int, point: SetPoint | None) -> None:
+        """Write one cycle; `step` counts the actions so far."""
+        seen = [value for name in self._measured for value in np.ravel(reading.measured[name])]
+        sent = [np.nan] * self._size if point is None else point.row()
+        row = [now, reading.time, step, *goal, *reading.positions, *reading.velocities, *reading.wrench]
+        self._file.write(np.array([*row, reading.opening, *seen, *sent]).tobytes())
+
+    def flush(self) -> None:
+        """Hand what was written to the system."""
+        self._file.flush()
+
+
+def read_log(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
+    """The first line of a log, and its columns by name; a torn last row is left out."""
+    first, _, rest = path.read_bytes().partition(b"\n")
+    head: dict[str, Any] = json.loads(first)
+    width = sum(head["columns"].values())
+    rows = np.frombuffer(rest[: len(rest) // (8 * width) * 8 * width]).reshape(-1, width)
+    ends = np.cumsum([0, *head["columns"].values()])
+    return head, {name: rows[:, low:high] for name, low, high in zip(head["columns"], ends, ends[1:], strict=False)}
+
+
+class Replay(Driver):
+    """A driver that reads a log instead of a robot, and compares what would be sent with what was.
+
+    Args:
+        bundle: that the log is of.
+        path: of the log.
+    """
+
+    def __init__(self, bundle: Bundle, path: Path) -> None:
+        super().__init__(bundle, {})
+        self.head, self.columns = read_log(path)
+        if self.head["run"] != bundle.contract["run"]["id"]:
+            raise BundleError(f"{path} is of {self.head['run']}, the bundle of {bundle.contract['run']['id']}")
+        starts = np.flatnonzero(np.diff(self.columns["step"][:, 0], prepend=np.inf) < 0)
+        self.episodes = list(zip(starts.tolist(), [*starts[1:].tolist(), len(self.columns["step"])], strict=True))
+        self.error = 0.0
+        """Largest difference so far."""
+
+    def connect(self) -> dict[str, Any]:
+        return {}
+
+    def begin(self, episode: int) -> list[float] | None:
+        self._row, self._end = self.episodes[episode]
+        goal: list[float] = self.columns["goal"][self._row].tolist()
+        return goal
+
+    def now(self) -> float:
+        return float(self.columns["now"][min(self._row, self._end - 1), 0])
+
+    def wait(self, until: float) -> None:  # noqa: ARG002  (the log says when)
+        self._row += 1
+        if self._row >= self._end:
+            raise EOFError
+
+    def read(self) -> Reading | None:
+        row = {name: values[self._row] for name, values in self.columns.items()}
+        measured = {
+            name.removeprefix("measured_"): value for name, value in row.items() if name.startswith("measured_")
+        }
+        return Reading(
+            float(row["time"][0]),
+            row["positions"],
+            row["velocities"],
+            row["wrench"],
+            float(row["opening"][0]),
+            measured,
+        )
+
+    def send(self, point: SetPoint) -> None:
+        sent = self.columns["set_point"][self._row]
+        if np.isfinite(sent).any():  # otherwise nothing was moved
+            self.error = max(self.error, float(np.nanmax(np.abs(np.array(point.row()) - sent))))
+
+
+def replay(bundle: Bundle, path: Path) -> tuple[int, float]:
+    """Run a log again: the cycles, and the largest difference of a set point from what was sent, in rad or m."""
+    driver = Replay(bundle, path)
+    for episode in range(len(driver.episodes)):
+        with suppress(EOFError):  # the log ends before the episode would
+            Executor(bundle, driver, rate=driver.head["rate"]).run(episode)
+    return len(driver.columns["step"]), driver.error

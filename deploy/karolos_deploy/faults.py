@@ -1,0 +1,145 @@
+"""What stops a robot: each fault is one line. `Watch` looks for faults in every reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from .kinematics import Configuration
+from .readings import RUNNING, Reading
+
+BOX_MARGIN = 0.03
+"""m that the tool may be outside of the workspace: it overshoots where it brakes."""
+JOINT_MARGIN = 0.05
+"""rad that a joint may be beyond its limit."""
+SEEN_JUMP, JOINT_JUMP = 0.15, 0.05
+"""Largest jump of what is measured in m, and of a joint in rad beyond what its speed explains."""
+
+
+class Fault(Exception):  # noqa: N818  (the word of those who work with robots)
+    """A reason to stop.
+
+    Args:
+        kind: in two or three words.
+        what: what was found, in one line.
+    """
+
+    def __init__(self, kind: str, what: str) -> None:
+        super().__init__(f"{kind}: {what}")
+        self.kind, self.what = kind, what
+
+
+class Watch:
+    """Looks for faults in readings, and raises the first.
+
+    Args:
+        contract: of the bundle.
+        late: seconds without a new reading after which the robot is stopped.
+    """
+
+    def __init__(self, contract: Mapping[str, Any], late: float) -> None:
+        joints, limits = contract["joints"], contract["limits"]
+        self._late, self._force = late, limits["force"]
+        self._low, self._high, self._speed = (
+            np.array([joint[key] for joint in joints]) for key in ("lower", "upper", "velocity")
+        )
+        self._box = np.array(contract["workspace"]) if contract["control"]["mode"] != "joint" else None
+        self._names = [joint["name"] for joint in joints]
+        self._columns = {one["name"]: (one["size"], one["unit"]) for one in contract["observation"]}
+        self._before: Reading | None = None
+        self._news = 0.0
+
+    def identity(self, robot: Mapping[str, Any], contract: Mapping[str, Any]) -> None:
+        """Raise Fault if a driver is connected to another robot, gripper or payload than the policy was trained for.
+
+        What a driver cannot tell is left out of `robot`.
+        """
+        for key in ("name", "gripper", "joints"):
+            wanted = len(self._names) if key == "joints" else contract["robot"][key]
+            if key in robot and robot[key] != wanted:
+                raise Fault("wrong robot", f"its {key} is {robot[key]}, the policy was trained for {wanted}")
+        if "payload" in robot and abs(robot["payload"] - contract["robot"]["payload"]) > 0.1:
+            raise Fault(
+                "wrong payload",
+                f"the controller is set to {robot['payload']:.2f} kg, gripper and load weigh "
+                f"{contract['robot']['payload']:.2f} kg",
+            )
+
+    def start(self, reading: Reading, contract: Mapping[str, Any]) -> None:
+        """Raise Fault if the robot does not stand where episodes begin."""
+        low, high = np.array(contract["start"])
+        for name, value, least, most in zip(self._names, reading.positions, low, high, strict=True):
+            if not least - 0.1 <= value <= most + 0.1:
+                raise Fault(
+                    "start pose", f"joint {name} is at {value:.3f} rad, episodes begin at {least:.2f} to {most:.2f}"
+                )
+
+    def look(self, reading: Reading | None, now: float) -> bool:
+        """Raise Fault for a reading that must not be acted on.
+
+        Args:
+            reading: the newest that the driver has; None: nothing since the last call.
+            now: of the executor's clock in s.
+
+        Returns:
+            whether it is news.
+        """
+        before = self._before
+        if before is None:
+            self._news = now
+        if reading is None or (before is not None and reading.time == before.time):
+            if now - self._news > self._late:
+                what = f"nothing new for {1000 * (now - self._news):.0f} ms, allowed are {1000 * self._late:.0f}"
+                raise Fault("late reading" if reading is None else "stale clock", what)
+            if reading is None or reading.state == RUNNING:
+                return False
+        self._news, self._before = now, reading
+        if reading.state != RUNNING:
+            raise Fault(reading.state, "the robot says that it does not move")
+        self._finite(reading)
+        if before is not None:
+            self._continues(before, reading)
+        outside = (reading.positions < self._low - JOINT_MARGIN) | (reading.positions > self._high + JOINT_MARGIN)
+        if outside.any():
+            joint = int(outside.argmax())
+            raise Fault("out of limits", f"joint {self._names[joint]} is at {reading.positions[joint]:.3f} rad")
+        return True
+
+    def tool(self, at: Configuration, wrench: np.ndarray[Any, np.dtype[np.float64]]) -> None:
+        """Raise Fault for a tool that is outside of the workspace, or pressed on too hard."""
+        if self._box is not None:
+            low, high = self._box
+            if (at.position < low - BOX_MARGIN).any() or (at.position > high + BOX_MARGIN).any():
+                place = " ".join(f"{value:.3f}" for value in at.position)
+                raise Fault("out of workspace", f"the tool is at {place} m")
+        force = float(np.linalg.norm(wrench[:3]))
+        if force > self._force:
+            raise Fault("force", f"{force:.1f} N at the tool, allowed are {self._force:g}")
+
+    def _finite(self, reading: Reading) -> None:
+        numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
+        numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time]), **reading.measured}
+        for name, values in numbers.items():
+            size = self._columns.get(name, (np.size(values), ""))[0]
+            if name in ("positions", "velocities"):
+                size = len(self._names)
+            if np.size(values) != size:
+                raise Fault("wrong size", f"{name} has {np.size(values)} numbers, {size} are needed")
+            if not np.isfinite(values).all():
+                raise Fault("not a number", f"{name} of the reading is not finite")
+
+    def _continues(self, before: Reading, reading: Reading) -> None:
+        passed = reading.time - before.time
+        if passed < 0:
+            raise Fault("controller restarted", f"its clock went back by {-passed:.3f} s")
+        way = np.abs(reading.positions - before.positions) - self._speed * passed * 1.2
+        if way.max() > JOINT_JUMP:
+            joint = int(way.argmax())
+            raise Fault("jump", f"joint {self._names[joint]} moved faster than it can, by {way[joint]:.3f} rad")
+        for name, values in reading.measured.items():
+            if self._columns[name][1] == "m" and name in before.measured:
+                far = float(np.linalg.norm(np.subtract(values, before.measured[name])))
+                if far > SEEN_JUMP + 3 * passed:
+                    raise Fault("jump", f"{name} moved by {far:.3f} m between two readings")

@@ -1,0 +1,135 @@
+"""What passes between executor and robot: readings, set points, and the observation that a policy gets of a reading."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .kinematics import Array, Configuration
+
+RUNNING = "running"
+"""The state of a robot that follows set points."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """What a robot and its sensors say at one time."""
+
+    time: float
+    """Of the robot's clock in s."""
+    positions: Array
+    """Of the joints (n,) in rad."""
+    velocities: Array
+    """Of the joints (n,) in rad/s."""
+    wrench: Array
+    """What presses on the tool: force in N and torque in N m (6,) at the tool centre point, in the tool's frame. The
+    weight of the gripper is not in it."""
+    opening: float = 0.0
+    """Of the gripper: 0 closed, 1 open."""
+    measured: Mapping[str, Array] = field(default_factory=dict)
+    """What cameras and fixtures say, by the name of the field."""
+    state: str = RUNNING
+    """Else why the robot does not move, such as "protective stop"."""
+
+
+@dataclass(frozen=True)
+class SetPoint:
+    """Where the robot shall be at the end of a cycle: joints, or the set point of a spring at the tool."""
+
+    positions: Array | None = None
+    """Of the joints (n,) in rad."""
+    velocities: Array | None = None
+    """Of the joints (n,) in rad/s."""
+    place: Array | None = None
+    """Of the spring (3,) in m."""
+    rotation: Array | None = None
+    """Of the spring (3, 3)."""
+    velocity: Array | None = None
+    """Of the spring: m/s, then rad/s (6,)."""
+    opening: float | None = None
+    """Of the gripper; None: the policy does not move it."""
+
+    def row(self) -> list[float]:
+        """For a log: 12 numbers or 2 n, then the opening."""
+        opening = np.nan if self.opening is None else self.opening
+        if self.positions is not None and self.velocities is not None:
+            return [*self.positions.tolist(), *self.velocities.tolist(), opening]
+        assert self.place is not None
+        assert self.rotation is not None
+        return [*self.place.tolist(), *self.rotation.ravel().tolist(), opening]
+
+
+class Observer:
+    """Builds the observation of a policy from readings, by the formulas of a bundle's contract.
+
+    Args:
+        contract: of the bundle.
+    """
+
+    def __init__(self, contract: Mapping[str, Any]) -> None:
+        self.fields: list[dict[str, Any]] = contract["observation"]
+        self._share = 0.0
+        self._tau: float = contract["wrench"]["filter"]
+        self._limit: float = contract["limits"]["force"]
+        self.reset()
+
+    @property
+    def measured(self) -> list[str]:
+        """Names of the fields that a reading must hold as `measured`."""
+        return [one["name"] for one in self.fields if one["formula"] == "measured"]
+
+    def reset(self) -> None:
+        """Begin an episode."""
+        self.wrench = np.zeros(6)
+        """Low-passed."""
+        self.overloaded = False
+        self._time: float | None = None
+
+    def feel(self, reading: Reading) -> None:
+        """Take in the wrench of a reading; called once per reading, at the robot's rate."""
+        passed = reading.time - self._time if self._time is not None else 0.0
+        self._time = reading.time
+        share = 1 - np.exp(-passed / self._tau) if self._tau else 1.0
+        self.wrench = self.wrench + share * (reading.wrench - self.wrench)
+        self.overloaded = self.overloaded or float(np.linalg.norm(self.wrench[:3])) > self._limit
+
+    def __call__(self, reading: Reading, at: Configuration, set_point: Array) -> np.ndarray[Any, np.dtype[np.float32]]:
+        """The observation (o,).
+
+        Args:
+            reading: the newest.
+            at: the chain at its joint positions.
+            set_point: the way from the tool to the set point of a spring (6,), m and rad; zeros without.
+        """
+        speed = at.jacobian @ reading.velocities
+        turned = (at.rotation @ self.wrench.reshape(2, 3).T).T.ravel()
+        known: dict[str, Array] = {
+            "tool_position": at.position,
+            "tool_velocity": speed[:3],
+            "tool_angular_velocity": speed[3:],
+            "tool_rotation": at.rotation.T[:2].ravel(),
+            "tool_heading": at.rotation[:2, 0] / np.hypot(*at.rotation[:2, 0]),
+            "gripper_opening": np.array([reading.opening]),
+            "joint_positions": reading.positions,
+            "joint_velocities": reading.velocities,
+            "set_point": set_point,
+            "wrench": self.wrench,
+            "wrench_along_world": turned,
+            "force_exceeded": np.array([float(self.overloaded)]),
+            **reading.measured,
+        }
+        for one in self.fields:
+            known[one["name"]] = self._value(one, known)
+        return np.concatenate([known[one["name"]] for one in self.fields]).astype(np.float32)
+
+    def _value(self, one: Mapping[str, Any], known: Mapping[str, Array]) -> Array:
+        formula = one["formula"]
+        if formula == "difference":
+            first, second = one["of"]
+            return known[first] - known[second]
+        if formula == "tanh":
+            return np.tanh([(known[name][column] + offset) / scale for name, column, offset, scale in one["of"]])
+        return known[one["name"] if formula == "measured" else formula]

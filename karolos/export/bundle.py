@@ -1,0 +1,325 @@
+"""`karolos export --bundle`: a folder that a robot's computer runs with karolos-deploy, and that needs no other paper.
+
+policy.onnx, policy.npz  the policy, see `export`
+policy.yaml              LEAPP's description of it (config 1.3); karolos' own contract stands under `karolos`
+golden.npz               inputs and actions to check a port against
+episode.npz              an episode in training's world: readings, observations and actions
+film.mp4                 the same episode
+spec.json, run.json      the resolved spec and the run's record
+README.md                everything in words
+SHA256SUMS               of every file
+"""
+
+from __future__ import annotations
+
+import hashlib
+from math import inf
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from karolos_deploy.bundle import FORMAT, Bundle, write_sums, write_yaml
+
+from .. import __version__
+from ..core import Layout
+from ..environments.build import used
+from ..environments.robot_task import RobotTask
+from ..errors import MachineError, UsageError
+from ..evaluation.playing import play
+from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
+from ..files import write_json, writing
+from ..records import RunFolder
+from ..records.results import TestCounts
+from ..records.transfer_results import read as read_transfers
+from ..registry import load
+from ..report.video import write_film
+from ..robots.arm import POSTURE_GAIN, Arm
+from ..robots.protective_stop import ProtectiveStop
+from ..simulation.geometry import matrix_of
+from .export import Exported, export_policy
+from .page import page
+
+EPISODES = 20
+"""Test episodes that are played for the ranges of inputs and outputs."""
+FILES = {"policy.onnx", "policy.npz", "policy.json", "golden.npz"}
+ROBOT = {
+    "tool_position": "tool_position", "tool_velocity": "tool_velocity", "tool_rotation": "tool_rotation",
+    "tool_angular_velocity": "tool_angular_velocity", "tool_heading": "tool_heading", "wrench": "wrench",
+    "gripper_opening": "gripper_opening", "joint_positions": "joint_positions", "set_point": "set_point",
+    "joint_velocities": "joint_velocities", "peg_wrench": "wrench_along_world", "overloaded": "force_exceeded",
+}  # fmt: skip
+"""Fields of observations -> the formula by which karolos-deploy computes them of joints and wrist."""
+
+
+def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> Exported:
+    """Write the bundle of a run's policy.
+
+    Args:
+        folder: the run's.
+        out: folder to write to; it must be empty, or hold an older bundle.
+        checkpoint: `best` or `last`.
+
+    Raises:
+        UsageError: the policy moves no arm, or actions that no robot can be told.
+        RunError, MachineError: as `export_policy`.
+    """
+    saved = load_agent(folder, checkpoint)
+    with used(environment_of(playable(saved.spec))) as environment:
+        if not isinstance(environment, RobotTask) or not isinstance(environment.robot, Arm):
+            hint = "leave out --bundle"
+            raise UsageError("a bundle is for a policy that moves an arm", where=folder.id, hint=hint)
+        if environment.settings.actions == "discrete" or arm_of(environment).settings.stiffness_range is not None:
+            what = "discrete actions and actions that choose a stiffness are not possible in a bundle"
+            raise UsageError(what, where=folder.id, hint="leave out --bundle")
+        _make_room(out)
+        done = export_policy(folder, out, checkpoint=checkpoint, onnx=True)
+        contract = describe(folder, saved, environment)
+        logged, seen = record(environment, saved.policy(), contract, saved.spec.testing.seed)
+        fields = {"observation": contract["observation"], "desired_goal": contract["desired_goal"]}
+        for name, rows in {**fields, "action": contract["action"]}.items():
+            _add_ranges(rows, seen[name])
+        contract["start"] = [seen["start"].min(0).tolist(), seen["start"].max(0).tolist()]
+        with writing(out):
+            np.savez(out / "episode.npz", **logged)
+            _film(out, environment, saved)
+            (out / "policy.json").unlink()
+            write_json(out / "spec.json", saved.spec.dump())
+            write_json(out / "run.json", folder.description())
+            write_yaml(out / "policy.yaml", leapp(out, contract))
+            (out / "README.md").write_text(page(contract, environment), encoding="utf-8")
+            write_sums(out)
+    Bundle(out).replay_episode()
+    return Exported(out, tuple(sorted(out.iterdir())), done.checkpoint, done.steps, done.error)
+
+
+def _make_room(out: Path) -> None:
+    """Remove an older bundle. Raises UsageError for a folder with other files."""
+    found = {path.name for path in out.iterdir()} if out.is_dir() else set()
+    ours = FILES | {"policy.yaml", "episode.npz", "film.mp4", "spec.json", "run.json", "README.md", "SHA256SUMS"}
+    if strange := sorted(found - ours):
+        raise UsageError(f"{out} holds {strange[0]}, which is no part of a bundle", hint="name an empty folder: --out")
+    for name in found:
+        (out / name).unlink()
+
+
+def _film(out: Path, environment: RobotTask, saved: SavedAgent) -> None:
+    try:
+        moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
+        write_film(out / "film.mp4", moments, environment, (640, 480))
+    except MachineError:
+        pass  # pictures cannot be drawn on this machine; the page says that there is none
+
+
+def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
+    """The contract: everything that one has to know to run the policy. JSON-able, SI units, in the world's frame."""
+    arm, task = arm_of(environment), environment.task
+    settings = arm.settings
+    facts, signature, spec = arm.facts(), saved.signature, saved.spec.dump()
+    gripper = settings.gripper or arm.model.gripper
+    load_mass = getattr(task.settings, "peg_mass", 0.0) if task.uses_gripper == "closed" else 0.0
+    limits = (
+        settings.protective_stop
+        if isinstance(settings.protective_stop, ProtectiveStop)
+        else ProtectiveStop.model_validate({})
+    )
+    force = min(limits.force or inf, getattr(task.settings, "force_limit", inf))
+    control = {key: getattr(settings, key) for key in ("tool_step", "turn_step", "yaw", "yaw_step", "frame")}
+    turns = arm.orientations
+    control |= {
+        "mode": facts["control"],
+        "rate": facts["rate"],
+        "moved": facts["moved"],
+        "joint_step": list(arm.joint_step),
+        "home_yaw": arm.home_yaw,
+        "posture_gain": POSTURE_GAIN,
+        "steps_down": arm.model.steps_down,
+        "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
+    }
+    if "spring" in facts:
+        control["spring"] = {key: value for key, value in facts["spring"].items() if key != "stiffness_range"}
+    tested = saved.tested.row() if saved.tested is not None else None
+    transfers = [
+        {"changed": list(one.overrides), **{key: TestCounts.of(one.result).row()[key] for key in _SUCCESS}}
+        for one in read_transfers(folder)[0]
+        if one.sha256 == saved.sha256
+    ]
+    return {
+        "format": FORMAT,
+        "run": {
+            "id": folder.id,
+            "experiment": folder.description()["experiment"],
+            "name": saved.spec.name,
+            "checkpoint": saved.checkpoint,
+            "sha256": saved.sha256,
+            "steps": saved.steps,
+            "karolos": __version__,
+            "test": {key: tested[key] for key in _SUCCESS} if tested else None,
+            "tests_under_changes": transfers,
+        },
+        "robot": {
+            "name": spec["robot"]["name"],
+            "gripper": gripper,
+            "payload": (load("grippers", gripper).model.mass if gripper else 0.0) + load_mass,
+        },
+        "kinematics": {
+            "base": list(arm.base),
+            "links": arm.chain.links.tolist(),
+            "damping": arm.chain.damping,
+        },
+        "joints": facts["joints"],
+        "control": control,
+        "workspace": [list(arm.workspace.low), list(arm.workspace.high)],
+        "limits": {"force": force, "tool_speed": facts.get("tool_speed"), "late": 1 / facts["rate"]},
+        "wrench": {"filter": settings.wrench_filter},
+        "gripper": _gripper(arm) if facts.get("gripper") or task.uses_gripper == "closed" else None,
+        "observation": _observed(signature.observation.acting, task.settings),
+        "desired_goal": _fields(signature.desired_goal),
+        "action": facts["action"],
+        "episode": {"steps": task.max_steps, "task": spec["task"]},
+        "randomized": {name: spec["randomization"][name] for name in spec.get("randomization", {})},
+        "not_randomized": {
+            name: {"nominal": parameter.nominal, "unit": parameter.unit, "what": parameter.description}
+            for name, parameter in environment.declared.items()
+            if name not in spec.get("randomization", {})
+        },
+    }
+
+
+_SUCCESS = ("episodes", "success_end", "success_end_interval")
+
+
+def _gripper(arm: Arm) -> dict[str, Any]:
+    found = arm.gripper
+    width, force = getattr(found, "width", None), getattr(found, "force", getattr(found, "max_force", None))
+    return {"closed": -1, "open": 1, "width": width, "force": force, "speed": getattr(found, "speed", None)}
+
+
+def _fields(layout: Layout) -> list[dict[str, Any]]:
+    return [{"name": field.name, "size": field.size, "unit": field.unit} for field in layout.fields]
+
+
+def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
+    """The fields of the observation, each with the formula by which it is computed on a robot."""
+    fields = _fields(layout)
+    for field in fields:
+        name = field["name"]
+        stem = name.removesuffix("_from_tool")
+        if name in ROBOT:
+            field["formula"] = ROBOT[name]
+        elif stem != name and f"{stem}_position" in layout.names:
+            field |= {"formula": "difference", "of": [f"{stem}_position", "tool_position"]}
+        elif name == "near_errors" and hasattr(task, "play"):
+            field |= {"formula": "tanh", "of": _near_errors()}
+        else:
+            field["formula"] = "measured"
+    return fields
+
+
+def _near_errors() -> list[list[Any]]:
+    """Field, column, what is added, and scale of each column of the task insert's `near_errors`."""
+    from ..tasks.insert import DEPTH, SCALES, TURN_SCALE  # noqa: PLC0415
+
+    places = [(0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)]
+    near = [["tip_from_hole", column, added, scale] for scale in SCALES for column, added in places]
+    return near + [["peg_turn", column, 0.0, TURN_SCALE] for column in range(3)]
+
+
+def record(
+    environment: RobotTask, policy: Policy, contract: dict[str, Any], seed: int
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Play `EPISODES` test episodes: the columns of the first one, and all inputs and outputs that occurred."""
+    arm, task = arm_of(environment), environment.task
+    full = arm.observation + task.observation
+    measured = [one["name"] for one in contract["observation"] if one["formula"] == "measured"]
+    rows: list[dict[str, Any]] = []
+    seen: dict[str, list[Any]] = {"observation": [], "desired_goal": [], "action": [], "start": []}
+    episode = 0
+
+    def act(step: Any) -> Any:
+        action = policy.act(step)
+        size = contract_size(contract["observation"])
+        for name, value in (
+            ("observation", step.observation[:size]),
+            ("desired_goal", step.desired_goal),
+            ("action", action),
+        ):
+            seen[name].append(value)
+        if not episode:
+            values = dict(zip(full.names, _split(full, environment), strict=True))
+            rows.append(
+                {
+                    "time": len(rows) * arm.period,
+                    "positions": arm.joint_positions,
+                    "velocities": arm.joint_velocities,
+                    "wrench": arm.wrench,
+                    "opening": arm.opening,
+                    "overloaded": values.get("overloaded", [0.0])[0],
+                    "set_point": values.get("set_point", np.zeros(6)),
+                    **{f"measured_{name}": values[name] for name in measured},
+                    "observation": step.observation[:size],
+                    "desired_goal": step.desired_goal,
+                    "action": action,
+                }
+            )
+        return action
+
+    for moment in play(environment, Policy(act, policy.begin), episodes=EPISODES, seed=seed):
+        if moment.step == 0:
+            seen["start"].append(list(arm.joint_positions))
+        episode = moment.episode + moment.over
+    return {name: np.array([row[name] for row in rows]) for name in rows[0]}, {n: np.array(v) for n, v in seen.items()}
+
+
+def arm_of(environment: RobotTask) -> Arm:
+    """Its robot, which is an arm."""
+    arm: object = environment.robot
+    assert isinstance(arm, Arm)
+    return arm
+
+
+def contract_size(fields: list[dict[str, Any]]) -> int:
+    """Columns of these fields together."""
+    return sum(one["size"] for one in fields)
+
+
+def _split(full: Layout, environment: RobotTask) -> list[Any]:
+    """The fields of the full observation now, without noise of its own."""
+    values = np.array([*environment.robot.observe(), *environment.task.observe()])
+    return [values[full.slice(name)] for name in full.names]
+
+
+def _add_ranges(fields: list[dict[str, Any]], seen: Any) -> None:
+    """Add the least and largest value of each column in `EPISODES` test episodes."""
+    start = 0
+    for field in fields:
+        columns = seen[:, start : start + field["size"]].astype(float)
+        field["low"], field["high"] = columns.min(0).round(6).tolist(), columns.max(0).round(6).tolist()
+        start += field["size"]
+
+
+def leapp(out: Path, contract: dict[str, Any]) -> dict[str, Any]:
+    """What policy.yaml holds: LEAPP's keys, which describe the ONNX model, and ours under `karolos`."""
+
+    def tensor(name: str, fields: list[dict[str, Any]], kind: str) -> dict[str, Any]:
+        columns = [f"{one['name']}[{inside}]" for one in fields for inside in range(one["size"])]
+        shape = [1, len(columns)]
+        told = {"name": name, "dtype": "float32", "shape": shape, "type": "tensor", "kind": kind}
+        return {**told, "element_names": [None, columns], "frame": "world"}
+
+    names = [name for name in ("observation", "desired_goal") if contract[name]]
+    digest = hashlib.sha256((out / "policy.onnx").read_bytes()).hexdigest()
+    pose = "pose_rel" if contract["control"]["mode"] != "joint" else "joint_position_rel"
+    action = tensor("action", contract["action"], f"target/{pose}") | {
+        "isaaclab_connection": f"action:arm_action:{pose}"
+    }
+    kinds = {"observation": "state/observation", "desired_goal": "command/desired_goal"}
+    policy = {
+        "inputs": [tensor(name, contract[name], kinds[name]) for name in names],
+        "outputs": [action],
+        "parameters": {"backend": "onnx", "model_path": "policy.onnx", "sha256sum": digest},
+    }
+    flow: dict[str, Any] = {"data_flow": {}, "feedback_flow": {}}
+    pipeline = {**flow, "inputs": {"policy": names}, "outputs": {"policy": ["action"]}}
+    pipeline["configs"] = {"frequency": contract["control"]["rate"]}
+    system = {"leapp version": f"karolos {__version__}", "leapp config version": "1.3"}
+    return {"models": {"policy": policy}, "pipeline": pipeline, "system information": system, "karolos": contract}

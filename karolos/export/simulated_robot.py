@@ -1,0 +1,285 @@
+"""A simulated world that behaves like a robot: it follows set points and tells readings, on a socket.
+
+`python -m karolos.export.simulated_robot BUNDLE` prints the address at which it listens and ends with its stdin. The
+driver `simulation` of karolos-deploy starts it.
+"""
+
+from __future__ import annotations
+
+import json
+import selectors
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from karolos_deploy.bundle import Bundle
+
+from ..environments.robot_task import RobotTask
+from ..errors import KarolosError
+from ..evaluation.changed_spec import changed_spec
+from ..evaluation.policies import environment_of, signature_of
+from ..evaluation.testing import test_seeds
+from ..files import read_object
+from ..robots.arm import Arm
+from ..simulation.geometry import quaternion_of
+from ..specification import spec_from_dict
+
+TICK = 1 / 240
+"""Seconds of the robot's own loop, and of a step of its world."""
+AHEAD = 0.02
+"""Seconds for which the last set point's speed counts where the next is late."""
+LONGEST_LAG = 0.25
+"""Seconds that the world may be behind the clock; what is beyond is left out."""
+
+
+class SimulatedRobot:
+    """The robot of a bundle in the world of its task.
+
+    Args:
+        bundle: folder of the bundle.
+        settings: `seed`, `latency`, `jitter`, `noise`, `calibration` and `change`, as the driver `simulation` says.
+    """
+
+    def __init__(self, bundle: Path, settings: Mapping[str, str]) -> None:
+        self.contract: dict[str, Any] = Bundle(bundle).contract
+        saved = spec_from_dict(read_object(bundle / "spec.json") or {})
+        spec = changed_spec(saved, settings.get("change", "").split(), trained=signature_of(saved))
+        fast = spec.environment.settings.model_copy(update={"substeps": 1})
+        part = replace(spec.environment, settings=fast)
+        environment = environment_of(spec.model_copy(update={"environment": part}), randomize=True)
+        assert isinstance(environment, RobotTask)
+        arm: object = environment.robot
+        assert isinstance(arm, Arm)
+        self.environment, self.arm, self.task = environment, arm, environment.task
+        seed = settings.get("seed") or spec.testing.seed
+        self._seeds = test_seeds(int(seed), 1_000_000)
+        numbers = [float(settings.get(name) or 0) for name in ("latency", "jitter", "noise", "calibration")]
+        self._latency, self._jitter, self._noise, self._calibration = numbers
+        self.world = environment.world  # building it gives the arm its motors
+        self.arm.motors.set_wrench_filter(0.0)  # the executor filters
+        self.measured = [one["name"] for one in self.contract["observation"] if one["formula"] == "measured"]
+        self._spring = self.contract["control"]["mode"] == "impedance"
+        self.time = 0.0
+        """Of the robot's clock; it goes on between episodes."""
+
+    def reset(self, episode: int) -> list[float]:
+        """Begin a test episode; its goal."""
+        self.environment.reset(self._seeds[episode])
+        self._generator = np.random.default_rng(self._seeds[episode])
+        self._offset = self._generator.uniform(-self._calibration, self._calibration, 3)
+        self._point: Mapping[str, Any] | None = None
+        self._due, self.state = self.time, "running"
+        self._told: deque[tuple[float, dict[str, Any]]] = deque([(-np.inf, self._reading())])
+        goal: list[float] = self.task.goal.tolist()
+        return goal
+
+    def command(self, point: Mapping[str, Any] | None, due: float) -> None:
+        """Follow a set point, which holds at the time `due`. None: none came, go on as before."""
+        if point is not None and self.state == "running":
+            self._point, self._due = point, due
+
+    def stop(self) -> None:
+        """Brake, and follow no further set point in this episode."""
+        self.state, self._point = "stopped", None
+
+    def advance(self, until: float) -> None:
+        """Simulate up to a time of the robot's clock."""
+        while self.time + TICK / 2 < until:
+            self._move()
+            self.world.step()
+            self.arm.read()
+            self.task.read()
+            self.time += TICK
+            if self.arm.stopped and self.state == "running":
+                self.state = "protective stop"
+                self._point = None
+            at = self.time + self._latency + self._jitter * self._generator.uniform()
+            self._told.append((max(at, self._told[-1][0]), self._reading()))
+
+    def told(self) -> dict[str, Any]:
+        """The newest reading that has arrived."""
+        while len(self._told) > 1 and self._told[1][0] <= self.time + TICK / 4:
+            self._told.popleft()
+        return {**self._told[0][1], "state": self.state}
+
+    def outcome(self) -> bool:
+        """Whether the goal is reached now."""
+        return bool(self.task.goal_rule.success(self.task.achieved(), self.task.goal)) and not self.arm.stopped
+
+    def _move(self) -> None:
+        """Drive the motors for one tick."""
+        arm, point, size = self.arm, self._point, self.arm.chain.size
+        opening = None if point is None else point["opening"]
+        arm.opening_command = arm.opening_command if opening is None else opening
+        openings = {0: arm.opening_command} if self.task.uses_gripper else {}
+        if self._spring:
+            arm.motors.drive([0.0] * size, [0.0] * size, openings)
+            if point is not None:
+                left = max(self._due - self.time, 0.0)
+                speed = np.array(point["velocity"]) * (left > 0)
+                x, y, z = (np.array(point["place"]) - left * speed[:3]).tolist()
+                a, b, c, d, e, f = speed.tolist()
+                arm.motors.aim((x, y, z), quaternion_of(np.array(point["rotation"])), (a, b, c), (d, e, f))
+            return
+        if point is None:
+            slower = np.array(arm.limits.velocity) * TICK * 24
+            speed = np.sign(arm.joint_velocities) * np.maximum(np.abs(arm.joint_velocities) - slower, 0.0)
+        else:
+            ahead = min(self.time + TICK - self._due, AHEAD)
+            target = np.array(point["positions"]) + ahead * np.array(point["velocities"])
+            speed = np.clip((target - arm.joint_positions) / TICK, *np.outer((-1, 1), arm.limits.velocity))
+        arm.motors.drive(speed.tolist(), speed.tolist(), openings)
+
+    def _reading(self) -> dict[str, Any]:
+        arm, task = self.arm, self.task
+        arm.observe()  # the task's observation has the same noise
+        seen = np.array(task.observe())
+        measured = {}
+        for name in self.measured:
+            field = next(one for one in task.observation.fields if one.name == name)
+            values = seen[task.observation.slice(name)]
+            measured[name] = (values + self._offset if (field.unit, field.size) == ("m", 3) else values).tolist()
+        positions = np.array(arm.joint_positions)
+        if self._noise:
+            positions = positions + self._generator.normal(0.0, self._noise, positions.size)
+        return {
+            "time": self.time,
+            "positions": positions.tolist(),
+            "velocities": list(arm.joint_velocities),
+            "wrench": list(arm.wrench),
+            "opening": arm.opening,
+            "measured": measured,
+            "state": "running",
+        }
+
+
+class Server:
+    """Listens on sockets, answers, and lets a simulated robot go on in real time, in one thread.
+
+    Args:
+        bundle: folder of the bundle.
+        host: to listen on.
+        port: of the requests; 0: any that is free.
+    """
+
+    def __init__(self, bundle: Path, host: str = "127.0.0.1", port: int = 0) -> None:
+        self.bundle, self.host = bundle, host
+        self.robot: SimulatedRobot | None = None
+        self.real = True
+        self._late = 0.0
+        self._running = True
+        self._selector = selectors.DefaultSelector()
+        self.port = self.listen(port, self.answer_line)
+
+    def listen(self, port: int, answer: Callable[[socket.socket, bytes], bytes | None], greet: bytes = b"") -> int:
+        """Have `answer` get each line of each connection to a port; what it returns is sent back. The port."""
+        waiting = socket.create_server((self.host, port))
+
+        def accept(_: socket.socket) -> None:
+            connection, _address = waiting.accept()
+            connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+            connection.sendall(greet)
+            rest = bytearray()
+
+            def receive(connection: socket.socket) -> None:
+                try:
+                    data = connection.recv(65536)
+                except OSError:
+                    data = b""
+                if not data:
+                    self.forget(connection)
+                    return
+                rest.extend(data)
+                while (end := rest.find(b"\n")) >= 0:
+                    line = bytes(rest[:end])
+                    del rest[: end + 1]
+                    reply = answer(connection, line)
+                    if reply is not None:
+                        connection.sendall(reply)
+
+            self.watch(connection, receive)
+
+        self.watch(waiting, accept)
+        return int(waiting.getsockname()[1])
+
+    def watch(self, one: Any, ready: Callable[[Any], None]) -> None:
+        """Call `ready` whenever a socket or file can be read."""
+        self._selector.register(one, selectors.EVENT_READ, ready)
+
+    def forget(self, connection: socket.socket) -> None:
+        """A connection has ended: the robot stops."""
+        self._selector.unregister(connection)
+        connection.close()
+        if self.robot is not None and hasattr(self.robot, "_told"):
+            self.robot.stop()
+
+    def answer_line(self, _: socket.socket, line: bytes) -> bytes:
+        """The answer to a request of the driver `simulation`."""
+        try:
+            told = self.answer(json.loads(line))
+        except KarolosError as error:
+            told = {"fault": "refused", "what": str(error)}
+        return json.dumps(told).encode() + b"\n"
+
+    def answer(self, request: dict[str, Any]) -> dict[str, Any]:
+        """The answer to a request."""
+        what = request.pop("do")
+        if what == "connect":
+            self.real = request.pop("clock") == "real"
+            self.robot = SimulatedRobot(self.bundle, request)
+            return dict(self.robot.contract["robot"]) | {"joints": self.robot.arm.chain.size}
+        assert self.robot is not None
+        robot = self.robot
+        if what == "reset":
+            goal = robot.reset(request["episode"])
+            self._late = time.perf_counter() - robot.time
+            return {**robot.told(), "goal": goal, "now": robot.time}
+        if what == "exchange":
+            if self.real:
+                self.tick()
+                robot.command(request["point"], robot.time + TICK)
+                return robot.told()
+            robot.command(request["point"], request["until"])
+            robot.advance(request["until"])
+            return {**robot.told(), "now": request["until"]}
+        if what == "stop":
+            robot.stop()
+        return {"success": robot.outcome()}
+
+    def tick(self) -> None:
+        """Let the world catch up with the clock."""
+        if self.robot is None or not self.real or not hasattr(self.robot, "_told"):
+            return
+        now = time.perf_counter() - self._late
+        if now - self.robot.time > LONGEST_LAG:
+            self._late += now - self.robot.time - LONGEST_LAG
+        self.robot.advance(now)
+
+    def serve(self) -> None:
+        """Answer until `end` is called."""
+        while self._running:
+            for key, _ in self._selector.select(TICK / 2 if self.real else None):
+                key.data(key.fileobj)
+            self.tick()
+
+    def end(self, _: Any = None) -> None:
+        """Stop serving."""
+        self._running = False
+
+
+def main(arguments: list[str]) -> None:
+    """Serve the robot of a bundle until stdin ends."""
+    server = Server(Path(arguments[0]))
+    server.watch(sys.stdin, lambda stream: None if stream.readline() else server.end())
+    print(f"{server.host}:{server.port}", flush=True)
+    server.serve()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
