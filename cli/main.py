@@ -23,6 +23,7 @@ from . import db, inspect, plugins, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare
+from .dataset import dataset
 from .diff import diff
 from .export import export
 from .output import say
@@ -76,7 +77,7 @@ for panel, parts in {
     "Look": (runs, sweeps, play, ui, board),
     "Compare": (compare, diff, zero_shot),
     "Extend": (plugins, inspect),
-    "Keep": (export, db),
+    "Keep": (export, dataset, db),
 }.items():
     for part in parts:
         if isinstance(part, ModuleType):

@@ -9,13 +9,13 @@ from functools import partial
 
 from ..core import Agent, Buffer, Orchestrator, Signature
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment, opened
+from ..environments.build import build_environment
 from ..errors import KarolosError, UsageError, described
 from ..registry import blaming, load
 from ..specification import Part, Spec
 from ..specification.sweep import MEASURES, directions
 from ..specification.tree import PARTS
-from .demonstrations import demonstrating_expert
+from .demonstrations import check_demonstrations
 from .memory import check_memory, environments_of
 from .trial import try_environments
 
@@ -94,8 +94,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         agent.check(buffer, demonstrations=spec.demonstrations is not None)
         if spec.demonstrations is not None:
             buffer.add_demonstrations(())
-            with opened(spec.recipe(randomize=True)) as environment:
-                demonstrating_expert(environment)
+            check_demonstrations(spec.recipe(randomize=True), spec.demonstrations)
         return _without_updates(spec, agent, buffer, signature.max_steps) or _without_success(spec, signature)
 
 
