@@ -18,7 +18,7 @@ from .. import system
 from ..errors import UsageError
 from ..files import below, read_object, write_json, writing
 from .recording import STATES, Recording, column_names
-from .source import Columns, Source, refuse, require, rows_of
+from .source import Columns, Dataset, refuse, require, rows_of
 
 VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -233,7 +233,7 @@ def _tasks(task: str) -> Any:
     return table.replace_schema_metadata({"pandas": json.dumps(known)})
 
 
-def read_lerobot(path: Path) -> Source:
+def read_lerobot(path: Path) -> Dataset:
     """A dataset that anybody wrote.
 
     Raises:
@@ -281,7 +281,7 @@ def read_lerobot(path: Path) -> Source:
         return _episode(cache[file], file, row, known, rate)
 
     true = about.get("rate", rate) if about else rate
-    return Source(path, lengths, float(true), NAMES, read, about)
+    return Dataset(path, lengths, float(true), NAMES, read, about)
 
 
 def _table(file: Path) -> Any:

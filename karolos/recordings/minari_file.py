@@ -13,7 +13,7 @@ import numpy as np
 from .. import system
 from ..files import writing
 from .recording import STATES, Recording, column_names
-from .source import Columns, Source, refuse, require, rows_of
+from .source import Columns, Dataset, refuse, require, rows_of
 
 NAMES = {name: name for name in (*STATES, "action", "reward", "terminated")}
 FOLDER = "MINARI_DATASETS_PATH"
@@ -80,7 +80,7 @@ def write_minari(path: Path, about: Mapping[str, Any], recordings: Iterable[Reco
                 os.environ[FOLDER] = before
 
 
-def read_minari(path: Path) -> Source:
+def read_minari(path: Path) -> Dataset:
     """The dataset in a folder, which holds `data/`.
 
     Raises:
@@ -117,4 +117,4 @@ def read_minari(path: Path) -> Source:
         return columns
 
     about = about if isinstance(about, dict) else None
-    return Source(path, lengths, float(about["rate"]) if about else 0.0, NAMES, read, about)
+    return Dataset(path, lengths, float(about["rate"]) if about else 0.0, NAMES, read, about)

@@ -17,7 +17,7 @@ from ..errors import UsageError
 from .lerobot import read_lerobot
 from .minari_file import read_minari
 from .recording import DESCRIPTION, EPISODES, RecordingFolder, facts_of
-from .source import Columns, Source, refuse
+from .source import Columns, Dataset, refuse
 
 UNITS = {
     "mm": ("m", 1e-3),
@@ -48,7 +48,7 @@ class Read:
     """Episodes whose goal holds at the last step, by the task's rule."""
 
 
-def open_source(path: Path) -> Source:
+def open_source(path: Path) -> Dataset:
     """The dataset in a folder, of whichever format. Raises UsageError if it is none."""
     if (path / "meta/info.json").is_file():
         return read_lerobot(path)
@@ -62,7 +62,7 @@ def open_source(path: Path) -> Source:
     )
 
 
-def _read_own(path: Path) -> Source:
+def _read_own(path: Path) -> Dataset:
     folder = RecordingFolder(path)
     about = folder.about()
     try:
@@ -81,7 +81,7 @@ def _read_own(path: Path) -> Source:
         return {name: array.reshape(len(array), -1) for name, array in found.items()}
 
     names = {name: name for name in ("observation", "achieved_goal", "desired_goal", "action", "reward", "terminated")}
-    return Source(path, tuple(one.steps for one in kept), rate, names, read, about)
+    return Dataset(path, tuple(one.steps for one in kept), rate, names, read, about)
 
 
 def read_recordings(
@@ -130,7 +130,7 @@ def read_recordings(
 class _Mapping:
     """From the columns of a dataset to the arrays of an environment."""
 
-    source: Source
+    source: Dataset
     facts: Facts
     columns: Mapping[str, str]
 
@@ -280,7 +280,7 @@ def _transitions(mapping: _Mapping, place: int) -> tuple[Transitions, bool]:
 
 
 def _judged(
-    source: Source, signature: Signature, found: Columns, episode: str, following: FloatArray, goal: FloatArray
+    source: Dataset, signature: Signature, found: Columns, episode: str, following: FloatArray, goal: FloatArray
 ) -> tuple[FloatArray, BoolArray, bool]:
     """Rewards and terminations of steps that arrive at `following`, and whether the last one is a success."""
     rule, steps = signature.goal_rule, len(following)

@@ -18,7 +18,7 @@ Columns = dict[str, NDArray[Any]]
 
 
 @dataclass(frozen=True)
-class Source:
+class Dataset:
     """A dataset that can be read."""
 
     path: Path

@@ -43,7 +43,10 @@ class TrainingSettings(Settings):
     """Amounts of collecting and learning, and where the agent runs."""
 
     steps: int = Setting(
-        default=100_000, ge=1, le=10**12, description="environment steps of training, all environments together"
+        default=100_000,
+        ge=0,
+        le=10**12,
+        description="environment steps of training, all environments together; 0: learn from demonstrations alone",
     )
     batch_size: int = Setting(default=256, ge=1, le=10**7, description="transitions per gradient update")
     replay_ratio: float = Setting(

@@ -120,6 +120,9 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
             setting="training.minimum_batch",
             hint="lower it, or use more environments",
         )
+    if not amounts.steps and not (spec.demonstrations and spec.demonstrations.updates):
+        hint = "set demonstrations.updates, or take environment steps"
+        raise UsageError("there is nothing to learn from: no step and no update", setting="training.steps", hint=hint)
     capacity = buffer.capacity
     if not agent.on_policy:
         if capacity is not None and amounts.batch_size > capacity:

@@ -18,6 +18,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.recordings.reading import read_recordings
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
+from karolos.training.assembly import check_parts
 
 DATA, EPISODES, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
 Damage = Callable[[Path], object]
@@ -143,3 +144,16 @@ def test_a_recording_of_another_environment_is_refused(tmp_path: Path) -> None:
     other = spec_from_dict(REACH, ["robot.control=joint"]).recipe(randomize=False)
     with pytest.raises(UsageError, match="it was recorded in another environment: observation is"):
         read_recordings(tmp_path / "own", facts(other), {}, 1)
+
+
+def test_behaviour_cloning_takes_no_environment_step(tmp_path: Path) -> None:
+    given = {**REACH, "demonstrations": {"file": str(lerobot(tmp_path)), "updates": 200}}
+    cloned = ["training.steps=0", "agent.imitation=1", "agent.cloning=true"]
+    outcome = Experiment(spec_from_dict(given, cloned)).run(tmp_path / "runs")
+    folder = RunFolder.open(outcome.runs[0].folder)
+    assert (folder.state().state, folder.state().steps, folder.state().updates) == ("finished", 0, 200)
+    assert [test.steps for test in folder.tests()] == [0]
+    assert folder.final() is not None
+    del given["demonstrations"]
+    with pytest.raises(UsageError, match="nothing to learn from"):
+        check_parts(spec_from_dict(given, cloned[:1]))
