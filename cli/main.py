@@ -23,6 +23,7 @@ from . import db, inspect, plugins, robot, runs, spec, sweeps
 from .board import board
 from .check import check
 from .compare import compare, diff
+from .dataset import dataset
 from .output import say
 from .plans import suite, sweep, transfer
 from .policy import export, play, zero_shot
@@ -71,7 +72,7 @@ for panel, parts in {
     "Look": (runs, sweeps, play, ui, board),
     "Compare": (compare, diff, zero_shot),
     "Extend": (plugins, inspect, robot),
-    "Keep": (export, db),
+    "Keep": (export, dataset, db),
 }.items():
     for part in parts:
         if isinstance(part, ModuleType):

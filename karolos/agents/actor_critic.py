@@ -40,6 +40,11 @@ class ActorCriticSettings(OptimiserSettings):
         description="weight of the squared distance to demonstrated actions that the critics prefer; with "
         "buffer.hindsight.imitate also to actions whose transition got a new goal",
     )
+    cloning: bool = Setting(
+        False,
+        description="behaviour cloning: the policy imitates all demonstrated actions, whatever the critics think, and "
+        "maximises no value",
+    )
     policy_average: float = Setting(
         1.0,
         gt=0,
@@ -47,6 +52,17 @@ class ActorCriticSettings(OptimiserSettings):
         description="step, per policy update, of the average of the policy that acts in tests; 1: the policy itself",
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
+
+    @model_validator(mode="after")
+    def _cloning_imitates(self) -> Any:
+        if self.cloning and not self.imitation:
+            raise ValueError("cloning needs imitation above 0, the weight of what it learns")
+        return self
+
+    def identity(self) -> dict[str, Any]:
+        """The settings that results depend on; `cloning` only where it is set."""
+        known = super().identity()
+        return known if self.cloning else {name: value for name, value in known.items() if name != "cloning"}
 
 
 class Critic:
@@ -204,6 +220,8 @@ class ActorCritic(TorchAgent):
     def preferred(self, batch: TensorBatch, action: Tensor) -> Tensor:
         """Whether the critics prefer the batch's action to `action` (n, a): (n,). Only demonstrated rows count."""
         assert batch.demonstrated is not None
+        if self.settings.cloning:
+            return torch.ones_like(batch.demonstrated)
         # oneDNN compiles a kernel for each number of rows, so few numbers may occur.
         count = -(-max(int(batch.demonstrated.count_nonzero()), 1) // JUDGED_ROWS) * JUDGED_ROWS
         rows = batch.demonstrated.argsort(descending=True, stable=True)[:count]
@@ -214,13 +232,18 @@ class ActorCritic(TorchAgent):
         return torch.zeros_like(batch.demonstrated, dtype=torch.bool).index_copy_(0, rows, shown > own)
 
     def values_and_gradient(self, batch: TensorBatch, action: Tensor) -> tuple[Tensor, Tensor]:
-        """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a)."""
+        """Q(s, a), (n,), and the gradient of - sum_i weight_i Q(s_i, a_i) + action_penalty mean(a^2) by a, (n, a).
+
+        With `cloning` the gradient is 0.
+        """
         outputs, tapes = self.critic.forward(torch.cat((batch.critic_input, action), 1), members=self.judges)
         values = self.critic_kind.policy_value(outputs)
         by_outputs = self.critic_kind.policy_value_gradient(outputs, values, -batch.weight)
         columns = slice(self.inputs + self.critic_only, None)
         by_action = self.critic.backward(by_outputs, tapes, parameters=False, columns=columns)
         assert by_action is not None
+        if self.settings.cloning:
+            return values, by_action.zero_()
         if self.settings.action_penalty:
             by_action.add_(action, alpha=2 * self.settings.action_penalty / action.numel())
         return values, by_action

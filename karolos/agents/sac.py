@@ -104,7 +104,8 @@ class SAC(ActorCritic):
         """
         temperature = self.log_temperature.exp()
         values, by_action = self.values_and_gradient(batch, own.action)
-        by_output = own.backward(by_action, temperature * batch.weight)
+        entropy_weight = 0 * batch.weight if self.settings.cloning else temperature * batch.weight
+        by_output = own.backward(by_action, entropy_weight)
         metrics: Metrics = {
             "policy_loss": lambda: torch.dot(batch.weight, temperature * log_probability - values),
             "action_saturation": lambda: saturation(own.action),

@@ -190,7 +190,7 @@ class Run:
 
     def _train_and_test(self, training: Training, tests: PendingTests) -> bool:
         """Train and test until all is done or a stop is requested. Returns whether all is done."""
-        interval, total = self.spec.testing.interval, self.spec.training.steps
+        interval = self.spec.testing.interval
         test_due, report_due = Every(interval), Every(max(interval // REPORTS_PER_TEST, 1))
         for due in (test_due, report_due):
             due(training.steps)
@@ -203,12 +203,12 @@ class Run:
             diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
-            self._announcer.progressed(progress, last=progress.steps >= total)
-            testing = test_due(progress.steps) or progress.steps >= total
+            self._announcer.progressed(progress, last=training.over)
+            testing = test_due(progress.steps) or training.over
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
                 episodes, reported_at = [], training.steps
-            if testing and (len(diverged) >= JUDGED_EPISODES or progress.steps >= total):
+            if testing and (len(diverged) >= JUDGED_EPISODES or training.over):
                 self._judge(diverged, progress.steps)
                 diverged.clear()
             self._test(training, tests, due=testing)
@@ -216,14 +216,14 @@ class Run:
                 break
         if reported_at < training.steps:
             self._report(training, episodes)
-        if training.steps >= total:
+        if training.over:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
         if tests.pending and self.stop.reason != "pruned":  # such a trial does not go on
             late = ", ".join(f"{test.steps:,}" for test in tests.pending)
             self._writer.warn(f"no test was played after {late} steps, where it is due", "a resumed run plays it")
-        return training.steps >= total and not tests.pending
+        return training.over and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:
         """Write down how many episodes diverged. Raises RunError if they are more than the spec allows."""

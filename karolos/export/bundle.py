@@ -29,8 +29,6 @@ from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
 from ..records import RunFolder
-from ..records.results import TestCounts
-from ..records.transfer_results import read as read_transfers
 from ..registry import load
 from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
@@ -139,8 +137,8 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
         control["spring"] = {key: value for key, value in facts["spring"].items() if key != "stiffness_range"}
     tested = saved.tested.row() if saved.tested is not None else None
     transfers = [
-        {"changed": list(one.overrides), **{key: TestCounts.of(one.result).row()[key] for key in _SUCCESS}}
-        for one in read_transfers(folder)[0]
+        {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}}
+        for one in folder.transfers().rows
         if one.sha256 == saved.sha256
     ]
     return {

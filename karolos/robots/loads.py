@@ -9,7 +9,7 @@ import numpy as np
 
 from ..core import Array
 from ..simulation import urdf
-from ..simulation.interface.engine import GRAVITY
+from ..simulation.interface import GRAVITY
 from .ramps import ACCELERATION_TIME
 
 SHARE = 0.8

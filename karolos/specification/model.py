@@ -41,7 +41,10 @@ class TrainingSettings(Settings):
     """Amounts of collecting and learning, and where the agent runs."""
 
     steps: int = Setting(
-        default=100_000, ge=1, le=10**12, description="environment steps of training, all environments together"
+        default=100_000,
+        ge=0,
+        le=10**12,
+        description="environment steps of training, all environments together; 0: learn from demonstrations alone",
     )
     batch_size: int = Setting(default=256, ge=1, le=10**7, description="transitions per gradient update")
     replay_ratio: float = Setting(
@@ -100,9 +103,22 @@ class TrainingSettings(Settings):
 
 
 class DemonstrationSettings(Settings):
-    """Episodes of the task's scripted expert, collected before training. They do not count as training steps."""
+    """Episodes of the task's scripted expert, or of a recording. They do not count as training steps."""
 
-    episodes: int = Setting(default=100, ge=1, le=10**6, description="episodes to collect")
+    file: str | None = Setting(
+        default=None,
+        min_length=1,
+        description="folder of a recording instead of the expert: a LeRobotDataset v3, a Minari dataset, or of "
+        "`karolos dataset`; then there is neither noise nor random",
+    )
+    columns: dict[str, str] = Setting(
+        default={},
+        description="where the recording has a field of observations, observation, achieved_goal, desired_goal or "
+        "action, and in which unit: object_position: observation.state[0:3] mm",
+    )
+    episodes: int = Setting(
+        default=100, ge=1, le=10**6, description="episodes to collect; with file: the first ones, or all if it has less"
+    )
     noise: float = Setting(
         default=0.1, ge=0, le=10, description="standard deviation of the Gaussian noise on the expert's actions"
     )
@@ -119,6 +135,17 @@ class DemonstrationSettings(Settings):
         le=10**9,
         description="gradient updates on the demonstrations before the first environment step",
     )
+
+    @model_validator(mode="after")
+    def _columns_are_of_a_file(self) -> Any:
+        if self.columns and self.file is None:
+            raise ValueError("columns needs a file")
+        return self
+
+    def identity(self) -> dict[str, Any]:
+        """The settings that results depend on: a recording takes the place of noise and random."""
+        unused = {"file", "columns"} if self.file is None else {"noise", "random"}
+        return self.model_dump(mode="json", exclude=unused)
 
 
 FINAL_SEED_OFFSET = 1_000_000
@@ -170,13 +197,17 @@ _WRITTEN = re.compile(
 """Names of settings for files that an environment writes. Their content is no part of an experiment."""
 
 
+RECORDING = "demonstrations.file"
+"""Names a folder, whatever the name looks like."""
+
+
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
     """JSON with hashes of content in place of names of files and folders; `found` gets these by key path."""
     if isinstance(value, dict):
         return {key: _by_content(entry, found, f"{path}.{key}".lstrip(".")) for key, entry in value.items()}
     if isinstance(value, list):
         return [_by_content(entry, found, f"{path}[{place}]") for place, entry in enumerate(value)]
-    named = isinstance(value, str) and re.search(r"[/\\]|\.\w{1,8}$", value)
+    named = isinstance(value, str) and (path == RECORDING or re.search(r"[/\\]|\.\w{1,8}$", value))
     if named and not _WRITTEN.search(path.rpartition(".")[2].partition("[")[0]):
         digest = fingerprint(Path(value))
         if digest is not None:
@@ -215,7 +246,7 @@ class Spec(Settings):
         description="distributions of robot.* and task.* parameters, drawn at each training reset; a number: one value",
     )
     demonstrations: DemonstrationSettings | None = Setting(
-        None, description="episodes of the task's expert, collected before training; null: off"
+        None, description="episodes of the task's expert or of a recording, known before training; null: off"
     )
     training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
     testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
@@ -277,6 +308,7 @@ class Spec(Settings):
             **self.dump(),
             **{key: part.identity() for key, part in parts.items() if part is not None},
             "randomization": {key: part.identity() for key, part in self.randomization.items()},
+            **({} if self.demonstrations is None else {"demonstrations": self.demonstrations.identity()}),
             "training": self.training.identity(),
             "testing": self.testing.identity(),
         }

@@ -14,7 +14,7 @@ import numpy as np
 
 from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, random_actions
 from ..core.experience import transition_layout
-from ..environments.build import build_environment, is_setting, opened
+from ..environments.build import build_environment, is_setting
 from ..errors import KarolosError, PluginError, UsageError, WorkerError, described
 from ..registry import blaming, find, load
 from ..specification import Part, Spec
@@ -22,7 +22,7 @@ from ..specification.parts import Recipe
 from ..specification.sweep import MEASURES, directions
 from ..specification.tree import PARTS
 from ..system import memory
-from .demonstrations import demonstrating_expert
+from .demonstrations import check_demonstrations
 
 REPLAY_SETTINGS = {
     "batch_size": "remove it; agent.minibatches and buffer.rollout determine the size of a batch",
@@ -98,8 +98,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         agent.check(buffer, demonstrations=spec.demonstrations is not None)
         if spec.demonstrations is not None:
             buffer.add_demonstrations(())
-            with opened(spec.recipe(randomize=True)) as environment:
-                demonstrating_expert(environment)
+            check_demonstrations(spec.recipe(randomize=True), spec.demonstrations)
         return _doubt(spec, agent, buffer, signature)
 
 
@@ -125,6 +124,9 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
             setting="training.minimum_batch",
             hint="lower it, or use more environments",
         )
+    if not amounts.steps and not (spec.demonstrations and spec.demonstrations.updates):
+        hint = "set demonstrations.updates, or take environment steps"
+        raise UsageError("there is nothing to learn from: no step and no update", setting="training.steps", hint=hint)
     capacity = buffer.capacity
     if not agent.on_policy:
         if capacity is not None and amounts.batch_size > capacity:

@@ -1,23 +1,26 @@
-"""Demonstrations: episodes of a task's scripted expert, noisy so that they also show how to recover."""
+"""Demonstrations: noisy episodes of a task's scripted expert, which also show how to recover, or recorded ones."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from ..core import Environment, Expert, FloatArray, SeedTree, Step, Transitions
 from ..environments.build import opened
+from ..environments.facts import Facts
 from ..errors import RunError, UsageError
+from ..recordings.reading import read_recordings
 from ..specification.model import DemonstrationSettings
 from ..specification.parts import Recipe
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """Episodes of the expert."""
+    """Episodes to learn from."""
 
     episodes: tuple[Transitions, ...]
     """Each with its steps along the leading axis; `environment` is 0."""
@@ -37,7 +40,7 @@ def collect_demonstrations(
     seeds: SeedTree,
     on_step: Callable[[int], object] = lambda _: None,
 ) -> Demonstrations:
-    """Play the expert's episodes in a separate environment.
+    """Read recorded episodes, or play the expert's in a separate environment.
 
     The expert sees the effect of its noisy actions before it acts again. An episode whose simulation diverged is
     replaced by another one.
@@ -49,10 +52,16 @@ def collect_demonstrations(
         on_step: is called with the number of collected episodes before each step; an error that it raises ends this.
 
     Raises:
-        UsageError: the environment has no expert.
+        UsageError: the environment has no expert, or the recording does not fit.
         RunError: most episodes diverge.
     """
     started = time.perf_counter()
+    if settings.file is not None:
+        with opened(recipe) as environment:
+            facts = Facts.of(environment)
+        read = read_recordings(Path(settings.file), facts, settings.columns, settings.episodes, on_step)
+        success = read.successes / len(read.episodes)
+        return Demonstrations(read.episodes, success, time.perf_counter() - started)
     tree = seeds.child("demonstrations")
     episodes: list[Transitions] = []
     successes = 0
@@ -69,6 +78,15 @@ def collect_demonstrations(
         else:
             raise RunError("most demonstrations diverge", setting="demonstrations", hint="lower demonstrations.noise")
     return Demonstrations(tuple(episodes), successes / len(episodes), time.perf_counter() - started)
+
+
+def check_demonstrations(recipe: Recipe, settings: DemonstrationSettings) -> None:
+    """Raise a UsageError if there is no expert, or the recording does not fit."""
+    if settings.file is not None:
+        collect_demonstrations(recipe, settings, SeedTree(0))
+        return
+    with opened(recipe) as environment:
+        demonstrating_expert(environment)
 
 
 def demonstrating_expert(environment: Environment) -> Expert:

@@ -83,8 +83,8 @@ class Training:
         )
 
     def rounds(self) -> Iterator[Progress]:
-        """Rounds until `amounts.steps` environment steps are taken."""
-        while self.steps < self.amounts.steps:
+        """Rounds until training is over."""
+        while not self.over:
             finished: tuple[Episode, ...] = ()
             failures: tuple[Failure, ...] = ()
             started = time.perf_counter()
@@ -114,6 +114,12 @@ class Training:
         if self.agent.on_policy:
             learner.learn_from_rollout()
         return finished, failures
+
+    @property
+    def over(self) -> bool:
+        """Whether `amounts.steps` environment steps are taken; without any, whether pre-training is over."""
+        pretrained = self.collector.started or self.updates >= self.pretraining_updates
+        return self.steps >= self.amounts.steps and pretrained
 
     @property
     def steps(self) -> int:

@@ -85,3 +85,13 @@ def test_imitation_draws_the_policy_to_what_is_shown(agent: type[Agent], weight:
     data = batch(50, signature(), 99)
     actions = made.act(data.observation, data.desired_goal, explore=False)
     assert bool(actions.mean() > 0.7) is bool(weight)
+
+
+@pytest.mark.parametrize("agent", AGENTS)
+def test_cloning_imitates_what_the_critics_dislike_too(agent: type[Agent]) -> None:
+    made = make(agent, imitation=1.0, cloning=True)
+    prefer(made, shown=False)
+    for seed in range(60):
+        made.learn(demonstrated(1.0, seed % 10)._replace(action=np.ones((64, 2), np.float32)))
+    data = batch(50, signature(), 99)
+    assert made.act(data.observation, data.desired_goal, explore=False).mean() > 0.7

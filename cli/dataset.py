@@ -1,0 +1,200 @@
+"""`karolos dataset`: record episodes of a policy or an expert as a dataset."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+import typer
+
+from karolos.errors import UsageError
+
+from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, chosen_checkpoint, open_run
+from .output import print_rows, say, warn
+
+if TYPE_CHECKING:
+    from karolos.recordings.playing import Recorder
+    from karolos.recordings.recording import RecordingFolder
+    from karolos.specification import Spec
+
+UNFINISHED = ".recording"
+"""Folder in --out that holds the episodes until the dataset is written, so that the same command goes on."""
+
+
+def dataset(
+    run: PolicyOrSpec,
+    overrides: Changes = None,
+    out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder to write.")] = Path("dataset"),
+    episodes: Annotated[int, typer.Option(min=1, help="Episodes in the dataset.")] = 100,
+    expert: Annotated[bool, typer.Option("--expert", help="Record the expert of a spec's task instead.")] = False,
+    format: Annotated[
+        Literal["lerobot", "minari", "karolos"],
+        typer.Option(help="lerobot: a LeRobotDataset v3; minari; karolos: one .npz per episode."),
+    ] = "lerobot",
+    only: Annotated[
+        Literal["success"] | None, typer.Option(help="Leave out episodes that do not end with success.")
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(min=0, max=10, help="Standard deviation of Gaussian noise on the actions.")
+    ] = 0.0,
+    random: Annotated[float, typer.Option(min=0, max=1, help="Probability of a random action instead.")] = 0.0,
+    randomize: Annotated[
+        bool, typer.Option("--randomize", help="Draw the spec's randomization in each episode, as training does.")
+    ] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
+    checkpoint: Checkpoint = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+) -> None:
+    """Record episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
+
+    Episodes are played in the processes and environments of the spec's orchestrator. The same command goes on where it
+    was interrupted. An episode's seeds and noise depend on its number alone.
+    """
+    from karolos.core.seeding import SeedTree
+    from karolos.evaluation.changed_spec import load_player
+    from karolos.files import read_object, write_whole
+    from karolos.recordings.card import card, outcome
+    from karolos.recordings.recording import DESCRIPTION, RecordingFolder
+
+    chosen = {
+        "episodes": episodes,
+        "only": only,
+        "noise": noise,
+        "random": random,
+        "randomize": randomize,
+        "seed": seed,
+    }
+    if expert:
+        from karolos.specification import load_spec
+
+        spec, act, policy = load_spec(run, overrides or ()), None, "the task's scripted expert"
+    else:
+        folder = open_run(run, runs, database)
+        name = chosen_checkpoint(folder, checkpoint)
+        player = load_player(folder, name, overrides or ())
+        player.environment.close()
+        spec, act, policy = player.spec, player.policy.act, f"{folder.id}, checkpoint {name}"
+        if player.note:
+            warn(player.note)
+    if format != "karolos":
+        from karolos.recordings.source import require
+
+        require({"lerobot": "pyarrow"}.get(format, format), format, f"--format {format}")
+    from karolos.recordings.playing import Recorder
+
+    recording = RecordingFolder(out if format == "karolos" else out / UNFINISHED)
+    about = _about(spec, policy, chosen, randomize=randomize)
+    if out.exists() and any(out.iterdir()):
+        _check_same(recording, about, out)
+    recording.begin(about)
+    with _orchestrator(spec, expert=expert, randomize=randomize) as environments:
+        size = environments.signature.action.size
+        recorder = Recorder(
+            environments,
+            act or (lambda step: step.observation[-size:]),
+            SeedTree(seed).child("dataset"),
+            recording,
+            episodes,
+            only_success=only is not None,
+            noise=noise,
+            random=random,
+            hidden=size if expert else 0,
+        )
+        played = _run(recorder, episodes)
+    done = {**about, "outcome": outcome(played)}
+    _write(format, out, done, recording)
+    write_whole(out / "README.md", card(done))
+    if format == "karolos":
+        recording.begin(done)
+    else:
+        from karolos.system import remove_tree
+
+        assert read_object(recording.path / DESCRIPTION)  # of this command
+        remove_tree(recording.path, ignore_errors=True)
+    counts = {name: value for name, value in done["outcome"].items() if isinstance(value, int)}
+    print_rows([{"folder": str(out), "format": format, **counts}], json=json)
+
+
+def _about(spec: Spec, policy: str, chosen: dict[str, Any], *, randomize: bool) -> dict[str, Any]:
+    """What the numbers mean and where they come from. Only the number of episodes may change when it goes on."""
+    from karolos.environments.build import opened
+    from karolos.environments.facts import Facts
+    from karolos.errors import recorded
+    from karolos.recordings.recording import describe
+    from karolos.records import provenance
+
+    with opened(spec.recipe(randomize=randomize)) as environment:
+        facts = Facts.of(environment)
+        doc = (type(getattr(environment, "task", environment)).__doc__ or "").strip().splitlines()
+    versions, code = provenance.versions(), provenance.code(Path.cwd())
+    dumped = spec.dump()
+    return describe(
+        facts,
+        {
+            "title": f"{spec.name}: {policy}",
+            "task": doc[0].removeprefix("What to do: ").capitalize() if doc else spec.name,
+            "robot": spec.robot.name if spec.robot else spec.environment.name,
+            "policy": policy,
+            **chosen,
+            "spec": recorded({key: dumped[key] for key in ("robot", "task", "environment") if key in dumped}),
+            "experiment": spec.hash(),
+            "versions": {
+                name: versions[name] for name in ("karolos", "python", "numpy", "mujoco-core") if name in versions
+            },
+            "commit": code.commit + (" and uncommitted changes" if code.dirty else "") if code else None,
+        },
+    )
+
+
+def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:
+    """Raise UsageError unless the folder holds the beginning of this very dataset."""
+    from json import dumps, loads
+
+    before = recording.about()
+    if before is None:
+        raise UsageError("there is something already", where=str(out), hint="name another folder with --out")
+    before.pop("outcome", None)
+    now = loads(dumps(about))
+    changed = sorted(key for key in {*before, *now} - {"episodes"} if before.get(key) != now.get(key))
+    if changed:
+        what = f"it holds the beginning of another dataset: {', '.join(changed)} differ"
+        raise UsageError(what, where=str(out), hint="name another folder with --out")
+    say(f"{out} goes on after {len(recording.played())} episodes")
+
+
+def _orchestrator(spec: Spec, *, expert: bool, randomize: bool) -> Any:
+    """The spec's environments; with the expert's actions at the end of observations."""
+    from karolos.environments.build import build_environment
+    from karolos.recordings.playing import build_with_expert
+    from karolos.registry import load
+
+    part = spec.orchestrator
+    build = build_with_expert if expert else build_environment
+    return load("orchestrators", part.name)(part.settings, partial(build, spec.recipe(randomize=randomize)))
+
+
+def _run(recorder: Recorder, episodes: int) -> Any:
+    import sys
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(console=Console(stderr=True), transient=True, disable=not sys.stderr.isatty()) as bar:
+        task = bar.add_task("recording", total=episodes)
+        recorder.on_episode = lambda kept: bar.update(task, completed=kept)
+        return recorder.run()
+
+
+def _write(format: str, out: Path, about: dict[str, Any], recording: RecordingFolder) -> None:
+    if format == "lerobot":
+        from karolos.recordings.lerobot import write_lerobot
+
+        write_lerobot(out, about, recording.recordings(), about["task"])
+    elif format == "minari":
+        from karolos.recordings.minari_file import write_minari
+
+        kind = "expert" if "expert" in about["policy"] else "policy"
+        write_minari(out, about, recording.recordings(), f"karolos/{about['title'].partition(':')[0]}/{kind}-v0")

@@ -1,0 +1,319 @@
+"""From a dataset of any format to demonstrations of an environment: columns mapped, checked, and judged by the task."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from math import isclose, pi
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core import BoolArray, Discrete, FloatArray, Layout, Signature, Transitions
+from ..environments.facts import Facts
+from ..errors import UsageError
+from .lerobot import read_lerobot
+from .minari_file import read_minari
+from .recording import DESCRIPTION, EPISODES, RecordingFolder, facts_of
+from .source import Columns, Dataset, refuse
+
+UNITS = {
+    "mm": ("m", 1e-3),
+    "cm": ("m", 1e-2),
+    "mm/s": ("m/s", 1e-3),
+    "cm/s": ("m/s", 1e-2),
+    "deg": ("rad", pi / 180),
+    "deg/s": ("rad/s", pi / 180),
+    "%": ("1", 1e-2),
+}
+"""Units that are converted: unit -> SI unit, and factor."""
+SI = "SI"
+"""Said of a column: all its numbers have the units that the environment has."""
+LARGEST_ANGLE = 4 * pi
+"""Of joints and orientations, in rad: larger ones are taken for degrees."""
+TOLERANCE = 1e-4
+"""How far a recorded reward may be from the task's rule. Sums of float32 in another order differ by 1e-6."""
+EXPRESSION = re.compile(r"(?P<name>[^\s\[]+)(?:\[(?P<first>\d+):(?P<end>\d+)\])?(?: +(?P<unit>\S+))?")
+"""NAME, NAME[first:end], either followed by a unit."""
+
+
+@dataclass(frozen=True)
+class Read:
+    """The episodes of a dataset, as an environment would have given them."""
+
+    episodes: tuple[Transitions, ...]
+    successes: int
+    """Episodes whose goal holds at the last step, by the task's rule."""
+
+
+def open_source(path: Path) -> Dataset:
+    """The dataset in a folder, of whichever format. Raises UsageError if it is none."""
+    if (path / "meta/info.json").is_file():
+        return read_lerobot(path)
+    if (path / "data/metadata.json").is_file():
+        return read_minari(path)
+    if (path / DESCRIPTION).is_file():
+        return _read_own(path)
+    what = "is no recording" if path.is_dir() else "there is no such folder"
+    return refuse(
+        path, what, "name a LeRobotDataset v3 (meta/), a Minari dataset (data/) or what `karolos dataset` wrote"
+    )
+
+
+def _read_own(path: Path) -> Dataset:
+    folder = RecordingFolder(path)
+    about = folder.about()
+    try:
+        kept = [one for one in folder.played() if one.kept]
+        rate = float(about["rate"]) if about else 0.0
+    except (KeyError, TypeError, ValueError):
+        refuse(path, f"{DESCRIPTION} or {EPISODES} is damaged")
+
+    def read(place: int) -> Columns:
+        file = folder.file(kept[place].index)
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                found = {name: arrays[name] for name in arrays.files if name != "seed"}
+        except (OSError, ValueError, EOFError) as error:
+            refuse(file, f"cannot be read: {error}", "copy it again")
+        return {name: array.reshape(len(array), -1) for name, array in found.items()}
+
+    names = {name: name for name in ("observation", "achieved_goal", "desired_goal", "action", "reward", "terminated")}
+    return Dataset(path, tuple(one.steps for one in kept), rate, names, read, about)
+
+
+def read_recordings(
+    path: Path,
+    facts: Facts,
+    columns: Mapping[str, str],
+    count: int,
+    on_episode: Callable[[int], object] = lambda _: None,
+) -> Read:
+    """The first episodes of a dataset, as demonstrations.
+
+    Rewards, success and termination follow from the task's goal rule. A part of the reward that does not depend on the
+    goal is taken from a dataset of karolos, and is 0 in others. An episode that does not say its last state ends one
+    step earlier.
+
+    Args:
+        path: folder of the dataset.
+        facts: of the environment that is to be learned.
+        columns: where a field of observations, `observation`, `achieved_goal`, `desired_goal` or `action` stands in the
+            dataset: see EXPRESSION. What is not named has the format's usual name.
+        count: episodes; all if there are fewer.
+        on_episode: is called before each episode with the number of those that are read.
+
+    Raises:
+        UsageError: something does not fit; names the file, the episode and the column.
+        MachineError: a package is missing.
+    """
+    source = open_source(path)
+    mapping = _Mapping(source, facts, columns)
+    mapping.check()
+    episodes, successes = [], 0
+    for place in range(min(count, len(source.lengths))):
+        on_episode(place)
+        transitions, success = _transitions(mapping, place)
+        episodes.append(transitions)
+        successes += success
+    if not episodes:
+        refuse(path, "holds no episode")
+    if facts.signature.goal_rule is not None and not successes:
+        what = f"none of {len(episodes)} episodes ends with success by the task's rule"
+        refuse(path, what, "check units, frames and goals of what demonstrations.columns names")
+    return Read(tuple(episodes), successes)
+
+
+@dataclass(frozen=True)
+class _Mapping:
+    """From the columns of a dataset to the arrays of an environment."""
+
+    source: Dataset
+    facts: Facts
+    columns: Mapping[str, str]
+
+    @property
+    def signature(self) -> Signature:
+        return self.facts.signature
+
+    def check(self) -> None:
+        """Raise a UsageError if the dataset means something else than the environment, or acts at another rate."""
+        path, about = self.source.path, self.source.about
+        known = {"observation", "achieved_goal", "desired_goal", "action", *self.signature.observation.names}
+        if unknown := sorted(set(self.columns) - known):
+            what = f"there is no field {unknown[0]!r} here"
+            raise UsageError(what, setting=f"demonstrations.columns.{unknown[0]}", hint=f"there are {_list(known)}")
+        rate = self.source.rate
+        if rate and not isclose(rate, self.facts.rate, rel_tol=1e-3):
+            what = f"it has {rate:g} steps a second, and this environment {self.facts.rate:g}"
+            refuse(path, what, "record at that rate, or set environment.substeps so that both are the same")
+        if about is None or self.columns:
+            return
+        try:
+            there = facts_of(about)
+        except (KeyError, TypeError, ValueError) as error:
+            refuse(path, f"what it says of itself is damaged: {type(error).__name__}: {error}")
+        if differences := self.facts.differences(there):
+            refuse(path, "it was recorded in another environment: " + "; ".join(differences))
+
+    def part(self, name: str, layout: Layout | Discrete, found: Columns, episode: str) -> FloatArray | None:
+        """The array of observation, achieved_goal, desired_goal or action; None if the dataset does not have it."""
+        whole = self._expression(name, found)
+        if whole is not None:
+            return self._values(name, whole, layout, found, episode)
+        if isinstance(layout, Discrete) or name in ("desired_goal", "action"):
+            return None
+        parts = []
+        for one in layout.fields:
+            expression = self.columns.get(one.name)
+            if expression is None:
+                return None
+            parts.append(self._values(one.name, expression, Layout((one,)), found, episode))
+        rows = min(map(len, parts))
+        return np.concatenate([part[:rows] for part in parts], 1)
+
+    def _expression(self, name: str, found: Columns) -> str | None:
+        """Where the dataset has this part; usual names count in a dataset that karolos wrote, and for actions."""
+        if name in self.columns:
+            return self.columns[name]
+        usual = self.source.names[name]
+        return f"{usual} {SI}" if usual in found and (self.source.about or name == "action") else None
+
+    def _values(
+        self, name: str, expression: str, layout: Layout | Discrete, found: Columns, episode: str
+    ) -> FloatArray:
+        """The numbers that an expression names, in SI units."""
+        setting = f"demonstrations.columns.{name}"
+        parsed = EXPRESSION.fullmatch(expression)
+        if parsed is None:
+            raise UsageError(f"{expression!r} names no column", setting=setting, hint="NAME or NAME[0:3], and a unit")
+        column, unit = parsed["name"], parsed["unit"]
+        if column not in found:
+            refuse(self.source.path, f"{episode} has no column {column!r}", f"it has {_list(found)}")
+        values = found[column]
+        if parsed["first"]:
+            values = values[:, int(parsed["first"]) : int(parsed["end"])]
+        if values.shape[1] != layout.size:
+            what = f"{episode}, column {column!r} gives {values.shape[1]} numbers for {name}, which has {layout.size}"
+            refuse(self.source.path, what, "name a part of it: NAME[0:3]")
+        values = np.asarray(values, np.float32)
+        if not np.isfinite(values).all():
+            row, place = np.argwhere(~np.isfinite(values))[0]
+            refuse(self.source.path, f"{episode}, column {column!r} is {values[row, place]} in row {row}")
+        if isinstance(layout, Discrete):
+            return values
+        for one in layout.fields:
+            here = values[:, layout.slice(one.name)]
+            factor = self._factor(one.unit, unit, setting)
+            if factor != 1:
+                here *= np.float32(factor)
+            if one.unit == "rad" and np.abs(here).max(initial=0) > LARGEST_ANGLE:
+                what = f"{episode}, column {column!r}: {one.name} is {np.abs(here).max():.3g} rad"
+                refuse(
+                    self.source.path, what, f"if these are degrees, say so: demonstrations.columns.{name}: {column} deg"
+                )
+        return values
+
+    def _factor(self, unit: str, given: str | None, setting: str) -> float:
+        if given in (unit, SI) or (given is None and unit == "1"):
+            return 1.0
+        if given is None:
+            raise UsageError(f"the unit is not said, and here it is {unit}", setting=setting, hint="e.g. NAME[0:3] mm")
+        known, factor = UNITS.get(given, (None, 1.0))
+        if known != unit:
+            raise UsageError(f"{given} cannot be converted to {unit}", setting=setting, hint=f"one of {_list(UNITS)}")
+        return factor
+
+
+def _transitions(mapping: _Mapping, place: int) -> tuple[Transitions, bool]:
+    """An episode, and whether it ends with success."""
+    source, signature = mapping.source, mapping.signature
+    found, episode = source.read(place), f"episode {place}"
+
+    def needed(name: str, layout: Layout | Discrete) -> FloatArray:
+        values = mapping.part(name, layout, found, episode)
+        if values is None:
+            hint = f"name it: demonstrations.columns.{name}: COLUMN; there are {_list(found)}"
+            refuse(source.path, f"{episode} has no {name} that is known to be the environment's", hint)
+        return values
+
+    observation = needed("observation", signature.observation)
+    action = needed("action", signature.action)
+    desired = needed("desired_goal", signature.desired_goal) if signature.desired_goal.size else observation[:, :0]
+    achieved = mapping.part("achieved_goal", signature.achieved_goal, found, episode)
+    if achieved is None:
+        achieved = _observed(signature, observation)
+    if achieved is None:
+        achieved = needed("achieved_goal", signature.achieved_goal)
+    steps = min(len(action), len(observation) - 1, len(achieved) - 1)
+    if steps < 1 or len(desired) < steps:
+        refuse(source.path, f"{episode} has {len(action)} actions and {len(observation)} states: too few to learn from")
+    if isinstance(signature.action, Discrete):
+        allowed = np.isin(action, np.arange(len(signature.action.labels)))
+    else:
+        allowed = np.abs(action) <= 1 + 1e-6
+    if not allowed.all():
+        row, column = np.argwhere(~allowed)[0]
+        what = f"{episode}, row {row}: action[{column}] is {action[row, column]:.3g}"
+        refuse(source.path, what, "actions here are shares of the largest movement, in [-1, 1], or indices of a set")
+    following, goal = achieved[1 : steps + 1], desired[:steps]
+    reward, terminated, success = _judged(source, signature, found, episode, following, goal)
+    early = int(np.argmax(terminated)) + 1 if terminated.any() else steps
+    truncated = np.zeros(steps, np.bool_)
+    truncated[early - 1] = not terminated[early - 1]
+    transitions = Transitions(
+        environment=np.zeros(steps, np.int64),
+        observation=observation[:steps],
+        achieved_goal=achieved[:steps],
+        desired_goal=goal,
+        action=action[:steps],
+        reward=np.asarray(reward, np.float32),
+        next_observation=observation[1 : steps + 1],
+        next_achieved_goal=following,
+        terminated=terminated,
+        truncated=truncated,
+    )
+    cut: Any = (array[:early] for array in transitions)
+    return Transitions(*cut), success
+
+
+def _judged(
+    source: Dataset, signature: Signature, found: Columns, episode: str, following: FloatArray, goal: FloatArray
+) -> tuple[FloatArray, BoolArray, bool]:
+    """Rewards and terminations of steps that arrive at `following`, and whether the last one is a success."""
+    rule, steps = signature.goal_rule, len(following)
+    recorded, ended = found.get(source.names["reward"]), found.get(source.names["terminated"])
+    if rule is None:
+        if recorded is None:
+            refuse(source.path, f"{episode} has no rewards, and the environment has no goals to compute them from")
+        over = np.zeros(steps, np.bool_) if ended is None else ended[:steps, 0].astype(np.bool_)
+        return np.asarray(recorded[:steps, 0], np.float32), over, False
+    reward = np.asarray(rule.reward(following, goal), np.float32)
+    low, high = signature.extra_reward
+    if source.about is not None and recorded is not None:
+        own = np.asarray(recorded[:steps, 0], np.float32)
+        fits = (own >= reward + low - TOLERANCE) & (own <= reward + high + TOLERANCE)  # nan does not
+        if not fits.all():
+            row = int(np.argmin(fits))
+            what = f"{episode}, row {row}: the reward is {own[row]:.4g}, by the task's rule {reward[row]:.4g}"
+            refuse(source.path, what, "it is of another task, or damaged")
+        reward = own
+    terminated = np.asarray(rule.terminated(following, goal), np.bool_)
+    return reward, terminated, bool(rule.success(following[-1], goal[-1]))
+
+
+def _observed(signature: Signature, observation: FloatArray) -> FloatArray | None:
+    """What is achieved, where observations have all of it by the same names."""
+    layout = signature.observation
+    sizes = {one.name: one.size for one in layout.fields}
+    fields = signature.achieved_goal.fields
+    if any(sizes.get(one.name) != one.size for one in fields):
+        return None
+    return np.concatenate([observation[:, layout.slice(one.name)] for one in fields] or [observation[:, :0]], 1)
+
+
+def _list(names: Any) -> str:
+    text = ", ".join(sorted(map(str, names)))
+    return text if text.isprintable() else ascii(text)

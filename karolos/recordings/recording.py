@@ -1,0 +1,153 @@
+"""A recorded episode, what its numbers mean, and our own format: a folder that grows episode by episode.
+
+recording.json   what the numbers mean, see `describe`
+episodes.jsonl   one line per episode that was played: index, seed, steps, success, and whether it was kept
+episodes/        one .npz per episode that was kept
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
+from ..environments.facts import Facts
+from ..files import append_lines, read_lines, read_object, write_json, writing
+
+FORMAT = 1
+DESCRIPTION, EPISODES, FILES = "recording.json", "episodes.jsonl", "episodes"
+STATES = ("observation", "achieved_goal", "desired_goal")
+"""Arrays of an episode of n steps that have n + 1 rows: the first is that of the reset."""
+
+
+@dataclass(frozen=True)
+class Recording:
+    """An episode of n steps."""
+
+    observation: FloatArray
+    """(n + 1, o)"""
+    achieved_goal: FloatArray
+    """(n + 1, g)"""
+    desired_goal: FloatArray
+    """(n + 1, d)"""
+    action: FloatArray
+    """(n, a)"""
+    reward: FloatArray
+    """(n,)"""
+    terminated: BoolArray
+    """(n,)"""
+    truncated: BoolArray
+    """(n,)"""
+    success: BoolArray
+    """(n + 1,)"""
+    seed: int = 0
+    """Of the environment's reset."""
+
+    @property
+    def steps(self) -> int:
+        return len(self.reward)
+
+
+@dataclass(frozen=True)
+class Played:
+    """The outcome of one episode that was played for a recording."""
+
+    index: int
+    seed: int
+    steps: int
+    success: bool
+    """At the last step."""
+    kept: bool
+    diverged: bool = False
+    measures: Mapping[str, float] = field(default_factory=dict)
+    """By name, those that are defined."""
+
+
+def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
+    """What the numbers of a recording mean, as JSON-able data; `about` says where it comes from."""
+    signature = facts.signature
+    action = signature.action
+    return {
+        "format": FORMAT,
+        "rate": facts.rate,
+        "observation": _fields(signature.observation),
+        "achieved_goal": _fields(signature.achieved_goal),
+        "desired_goal": _fields(signature.desired_goal),
+        "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        "scales": {name: [unit, list(moved)] for name, (unit, moved) in facts.scales.items()},
+        "base": facts.base,
+        "max_steps": signature.max_steps,
+        **about,
+    }
+
+
+def facts_of(about: Mapping[str, Any]) -> Facts:
+    """What a description says of the environment. Raises KeyError, TypeError or ValueError if it is damaged."""
+    action = about["action"]
+    signature = Signature(
+        observation=_layout(about["observation"]),
+        action=Discrete(tuple(action["labels"])) if isinstance(action, dict) else _layout(action),
+        max_steps=int(about["max_steps"]),
+        achieved_goal=_layout(about["achieved_goal"]),
+        desired_goal=_layout(about["desired_goal"]),
+    )
+    scales = {name: (str(unit), tuple(map(float, moved))) for name, (unit, moved) in about["scales"].items()}
+    return Facts(signature, float(about["rate"]), scales, about["base"])
+
+
+def _fields(layout: Layout) -> list[dict[str, Any]]:
+    return [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout.fields]
+
+
+def _layout(fields: list[dict[str, Any]]) -> Layout:
+    return Layout(tuple(Field(str(one["name"]), int(one["size"]), str(one["unit"])) for one in fields))
+
+
+def column_names(fields: list[dict[str, Any]] | dict[str, Any]) -> list[str]:
+    """One name for each number of a described vector."""
+    if isinstance(fields, dict):
+        return ["action"]
+    layout = _layout(fields)
+    return [layout.column(place) for place in range(layout.size)]
+
+
+@dataclass(frozen=True)
+class RecordingFolder:
+    """A recording in our own format, which may still grow. Raises MachineError when it cannot be written."""
+
+    path: Path
+
+    def begin(self, about: Mapping[str, Any]) -> None:
+        with writing(self.path):
+            (self.path / FILES).mkdir(parents=True, exist_ok=True)
+        write_json(self.path / DESCRIPTION, about)
+
+    def add(self, played: Played, recording: Recording) -> None:
+        """Write an episode, and then its line: an episode without a line is written again."""
+        if played.kept:
+            path = self.file(played.index)
+            with writing(path), path.open("wb") as file:
+                np.savez(file, **vars(recording))
+        append_lines(self.path / EPISODES, [vars(played)])
+
+    def about(self) -> dict[str, Any] | None:
+        """The description; None if there is none."""
+        return read_object(self.path / DESCRIPTION)
+
+    def played(self) -> list[Played]:
+        """The episodes so far, in order."""
+        return [Played(**row) for row in read_lines(self.path / EPISODES).rows]
+
+    def file(self, index: int) -> Path:
+        return self.path / FILES / f"{index:06}.npz"
+
+    def recordings(self) -> Iterator[Recording]:
+        """The kept episodes, in order, one in memory at a time."""
+        for played in self.played():
+            if played.kept:
+                with np.load(self.file(played.index), allow_pickle=False) as file:
+                    yield Recording(**{name: file[name] for name in file.files if name != "seed"}, seed=played.seed)
