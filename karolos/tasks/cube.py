@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, hypot, pi, sin
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field as Setting
 
@@ -65,15 +65,16 @@ class Cube:
     """A cube of a world: built once, placed at a reset, read after each step. A subclass has another shape."""
 
     def __init__(self, settings: CubeSettings, world: World, colour: Colour = CUBE_COLOUR) -> None:
-        mass, shape = settings.object_mass, self.shape(settings.object_size)
+        mass, shape = settings.object_mass, self.shape(settings)
         self.body = world.body([shape], mass, colour)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
             self.body.set_material(Material(stiffness=settings.object_stiffness))
         self.set_mass(mass)
 
-    def shape(self, size: float) -> Shape:
-        """The shape, given the setting `object_size`; sets `half`, half its height in m."""
+    def shape(self, settings: Any) -> Shape:
+        """The shape that the task's settings describe; sets `half`, half its height in m."""
+        size: float = settings.object_size
         self.half = size / 2
         return Cuboid((size, size, size))
 

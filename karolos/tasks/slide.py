@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, copysign, cos, hypot, pi, radians, sin, sqrt
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field as Setting
@@ -63,8 +63,8 @@ class Rest(PointGoal):
 class Puck(Cube):
     """A cylinder on its base, half as high as it is wide."""
 
-    def shape(self, size: float) -> Shape:
-        self.half, self.radius = size / 4, size / 2
+    def shape(self, settings: Any) -> Shape:
+        self.half, self.radius = settings.object_size / 4, settings.object_size / 2
         return Cylinder(self.radius, 2 * self.half)
 
     @property
