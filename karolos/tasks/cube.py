@@ -1,4 +1,4 @@
-"""Cubes that tasks move: settings, bodies, observation, ground they may lie on, and motions of experts near them."""
+"""Cubes that tasks move: settings, bodies, observation, places on the floor, and how experts grip and carry them."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class Cube:
     def observe(self, robot: RobotView) -> list[float]:
         """The numbers of `fields`, with the robot's observation noise.
 
-        The offset from the tool is that of the observed positions: it tells nothing that they do not tell.
+        The offset from the tool is that of the observed positions, so it adds no information.
         """
         values = robot.with_noise([*self.position, *columns(self.orientation), *self.velocity, *self.angular_velocity])
         return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
@@ -180,7 +180,7 @@ class CubeTask(Task):
         self.cubes = [self.object_class(self.settings, world, colour) for colour in self.colours[: self.number]]
         self.cube = self.cubes[0]
         if self.settings.force_penalty is not None:
-            self._robot.largest_force()  # PyBullet records forces from the first question on
+            self._robot.largest_force()  # starts PyBullet's record of forces
 
     def apply(self, world: World, name: str, value: float) -> None:
         super().apply(world, name, value)

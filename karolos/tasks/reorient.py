@@ -247,7 +247,7 @@ def closing_yaw(robot: RobotView) -> float:
 
 
 ROOM, CLOSED = 0.03, 0.004
-"""m by which the gripper is wider than the object when it comes, and at the most when it holds it."""
+"""Opening of the gripper beyond the object's width in m: when it approaches, and the largest one when it holds it."""
 OVER, STRAIGHT = 0.01, 0.1
 """Distance from the object's axis in m, and turn of the tool to it in rad, within which the tool goes down."""
 NEAR = 0.012

@@ -207,7 +207,7 @@ class Learner:
         """Results of `agent.learn`."""
 
     def pretrain(self, updates: int) -> None:
-        """Learn before the first environment step, until `updates` are made in all; some of them in each call."""
+        """Make some updates before the first environment step, in each call until the total is `updates`."""
         for _ in range(min(PRETRAINING_UPDATES_PER_ROUND, updates - self.updates)):
             self._learn(self._batch_size)
 

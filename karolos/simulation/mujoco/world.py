@@ -1,4 +1,4 @@
-"""A MuJoCo world."""
+"""A MuJoCo world, and its OpenGL renderer without a visible window."""
 
 from __future__ import annotations
 
