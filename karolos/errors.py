@@ -85,7 +85,7 @@ def recorded(value: Any, key: str = "", *, folders: bool = True) -> Any:
 
 
 def without_folders(text: str) -> str:
-    """A text with .../name in place of each absolute path: folders tell machines and users."""
+    """The text with .../name in place of each absolute path, because folders show machines and users."""
     return _PATH.sub(".../", text)
 
 

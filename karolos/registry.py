@@ -120,7 +120,7 @@ def load(kind: str, name: str) -> Any:
 
 
 def loaded(kind: str, name: object) -> Any:
-    """The plugin's class; None if there is no such plugin or it is broken, which `load` tells."""
+    """The plugin's class; None if it is missing or broken. `load` raises the error instead."""
     try:
         return load(kind, name) if isinstance(name, str) else None
     except (UsageError, PluginError):
@@ -220,7 +220,7 @@ def _load(entry: PluginEntry) -> Any:
 def blaming() -> Iterator[None]:
     """Turn an error in the code of a third party's plugin into a PluginError at the plugin's line.
 
-    An error in which no such plugin has a part, a bug in karolos, stays as it is.
+    Other errors are bugs in karolos and do not change.
     """
     try:
         yield

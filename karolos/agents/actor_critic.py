@@ -288,7 +288,10 @@ def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tup
 
 
 class Quantiles(BaseSettings):
-    """Truncated quantile critics. Defaults: of the paper (25 atoms; 2 to drop on most of its tasks)."""
+    """Truncated quantile critics, TQC (Kuznetsov et al. 2020, arXiv 2005.04269).
+
+    Defaults are those of the paper (25 atoms; 2 to drop on most of its tasks).
+    """
 
     quantiles: int = Setting(25, ge=2, le=1000, description="quantiles of the return per critic")
     drop: int = Setting(2, ge=0, description="largest quantiles per critic left out of targets, against overestimation")

@@ -40,8 +40,8 @@ AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs 
 class Augmentation:
     """Changes sampled transitions in place, by the kinds of their fields, see `Field.kind`.
 
-    Right as far as robot and task are the same all over the floor and in a mirror: where actions move the tool, but
-    for the edge of the workspace and an arm's own asymmetry; where they move joints, never.
+    It is correct if robot and task are the same everywhere on the floor and in a mirror. That holds if actions move the
+    tool, except at the edge of the workspace and for an arm's own asymmetry. It never holds if actions move joints.
 
     Raises:
         UsageError: the kind of a field is not known, or actions are discrete.
@@ -51,14 +51,14 @@ class Augmentation:
     class Settings(BaseSettings):
         mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
         shift: float = Setting(
-            0.1, ge=0, le=10, description="each is moved by up to so much along x and along y of the world, m"
+            0.1, ge=0, le=10, description="largest move of each transition along x and y of the world, m"
         )
         lift: float = Setting(
             0.0,
             ge=0,
             le=10,
             json_schema_extra=LATER,
-            description="each is moved by up to so much along z, m: where nothing stands on the floor",
+            description="largest move of each transition along z, m; for tasks in which nothing stands on the floor",
         )
         batches: int | None = Setting(
             None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
@@ -96,7 +96,7 @@ class Augmentation:
         self.change(stored, mirrored, way)
 
     def change(self, stored: StoredTransitions, mirrored: BoolArray, way: FloatArray) -> None:
-        """Mirror the marked ones (n,), then move each by so much (n, 3), in m."""
+        """Mirror the marked transitions (n,), then move each by its vector in `way` (n, 3), in m."""
         _change(stored.table, mirrored, way, self._signs, self._axes)
 
 

@@ -1,4 +1,4 @@
-"""Hindsight experience replay: transitions with goals that their own episode achieved.
+"""Hindsight experience replay: transitions with goals that their own episode achieved. Multi-step returns.
 
 Source: Andrychowicz et al. 2017, "Hindsight Experience Replay". In addition to the paper, `terminated` is recomputed
 under the new goal; otherwise values diverge on tasks that end on success.
@@ -176,7 +176,8 @@ def extend(
 
     The reward becomes the discounted sum of the rewards of these steps. The next observation and `terminated` become
     those of the last step. A transition ends early where the episode terminates or is truncated, at the newest stored
-    step, and where a relabelled goal is reached: the policy pursued another goal afterwards.
+    step, and where a relabelled goal is reached: the policy pursued another goal afterwards. Source: Sutton 1988;
+    Hessel et al. 2018, "Rainbow".
 
     Args:
         stored: the transitions.

@@ -1,4 +1,4 @@
-"""Prioritised experience replay: transitions with large errors are sampled more often.
+"""Prioritised experience replay: transitions with large errors are sampled more often, by a tree of sums.
 
 Source: Schaul et al. 2016, "Prioritized Experience Replay", the proportional variant.
 """

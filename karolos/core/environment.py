@@ -87,7 +87,7 @@ class Environment(ABC):
     def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[NDArray[np.uint8]]:
         """Pictures of the time since the last one, evenly spaced; the last shows the current state.
 
-        An environment that only renders shows the current state in all of them.
+        Without an implementation of its own, an environment shows the current state in all pictures.
         """
         yield from [self.render(width, height)] * pictures
 

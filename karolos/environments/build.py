@@ -1,12 +1,13 @@
-"""From a recipe to an environment."""
+"""From a recipe to an environment, and the facts of an environment that a policy relies on."""
 
 from __future__ import annotations
 
 import pickle
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from itertools import product
+from math import isclose
 from typing import Any
 
 import numpy as np
@@ -223,3 +224,48 @@ def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Seque
 
 def _rules(signature: Signature) -> tuple[Any, ...]:
     return signature.max_steps, signature.reward_range, signature.extra_reward, pickle.dumps(signature.goal_rule)
+
+
+Scale = tuple[str, tuple[float, ...]]
+"""Unit, and how far an action of 1 moves each number of a field in a control step."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """The facts of an environment that a policy relies on. Picklable."""
+
+    signature: Signature
+    rate: float
+    """Control steps per second."""
+    scales: dict[str, Scale]
+    """Scale of each field of the robot's action; empty if the robot has no facts."""
+    base: str | None
+    """Where the robot stands, from which positions depend: its setting `base`; None where it has none."""
+
+    def __deepcopy__(self, _: object) -> Facts:
+        """The same, which never changes: observations are copied often."""
+        return self
+
+    @classmethod
+    def of(cls, environment: Environment) -> Facts:
+        """Those of an environment; nothing is simulated."""
+        robot = getattr(environment, "robot", None)
+        facts: dict[str, Any] = getattr(robot, "facts", dict)()
+        scales = {one["name"]: (one["unit"], tuple(one["scale"])) for one in facts.get("action", ()) if "scale" in one}
+        base = getattr(getattr(robot, "settings", None), "base", None)
+        return cls(environment.signature, environment.rate, scales, base)
+
+    def differences(self, trained: Facts) -> list[str]:
+        """Why a policy that was trained under `trained` does not fit here, one line each."""
+        lines = layout_differences(self.signature, trained.signature)
+        if not isclose(self.rate, trained.rate, rel_tol=1e-6):
+            lines.append(f"there are {self.rate:g} actions per second here and {trained.rate:g} there")
+        if None not in (self.base, trained.base) and self.base != trained.base:
+            lines.append(f"positions are those of robot.base={self.base} here and of {trained.base} there")
+        for name, (unit, moved) in self.scales.items():
+            known, there = trained.scales.get(name, (unit, moved))
+            for one, other in zip(moved, there, strict=False):
+                if unit != known or not isclose(one, other, rel_tol=1e-6):
+                    lines.append(f"an action of 1 in {name} is {one:.3g} {unit} here and {other:.3g} {known} there")
+                    break
+        return lines

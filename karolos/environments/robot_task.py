@@ -100,11 +100,8 @@ class RobotTask(Environment):
                 hint=f"it has {', '.join(offered) or 'nothing'}",
             )
         hidden = dict.fromkeys(settings.critic_observes)
-        self._critic_columns = [
-            column
-            for name in hidden
-            for column in range(task.critic_only.slice(name).start, task.critic_only.slice(name).stop)
-        ]
+        places = range(task.critic_only.size)
+        self._critic_columns = [column for name in hidden for column in places[task.critic_only.slice(name)]]
         only = tuple(replace(offered[name], critic_only=True) for name in hidden)
         if unknown := sorted(set(settings.omit) - set(full.names)):
             raise UsageError(

@@ -13,8 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import Agent, Deployed, Discrete, Environment, Signature, State, Step, random_actions
 from ..core.seeding import SeedTree
-from ..environments.build import build_environment, used
-from ..environments.facts import Facts
+from ..environments.build import Facts, build_environment, used
 from ..environments.robot_task import RobotTask
 from ..errors import MachineError, NoSuchRunError, UsageError
 from ..files import read_object

@@ -14,8 +14,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from ..core import BoolArray, BuildEnvironment, Step
-from ..environments.build import build_environment, opened
-from ..environments.facts import Facts
+from ..environments.build import Facts, build_environment, opened
 from ..environments.gymnasium.export import OBSERVED, Goals, Observation, robot_task_recipe
 from ..errors import UsageError
 from ..specification import spec_from_dict

@@ -105,7 +105,7 @@ class Cup:
     """A suction cup. Its lip is a ring of spheres of the URDF, in the last link, around the tool centre point.
 
     Suction seals where all of them are near the same body. It presses the two together with its force, whatever pulls:
-    beyond it the lip opens, and lets go. Across the lip friction holds, as far as that leaves it pressed.
+    beyond it the lip opens and releases. Along the lip friction holds, in proportion to the pressure that is left.
     """
 
     radius: float
@@ -156,7 +156,7 @@ class Spring(NamedTuple):
     turn_error: float
     """The same of the rotation, in rad."""
     home: tuple[float, ...]
-    """Joint positions in rad to which an arm with joints to spare returns meanwhile."""
+    """Joint positions in rad to which a redundant arm returns."""
 
 
 @dataclass(frozen=True)
@@ -308,7 +308,7 @@ class Motors(Protocol):
         """The wrench of contacts on the tool and its load: force in N and torque in N m at the tool, in its frame.
 
         Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not: it
-        is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first question on.
+        is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first call on.
         """
 
     def set_wrench_filter(self, seconds: float) -> None:
@@ -347,7 +347,7 @@ class World(Protocol):
     substeps: int
     period: float
     lead: float
-    """Seconds by which the velocities that the world tells are later than its positions."""
+    """Seconds by which the world's velocities are later than its positions."""
 
     def step(self) -> None:
         """Simulate one control step."""
@@ -506,7 +506,7 @@ class RobotView(Protocol):
     opening: float
     """Opening of the gripper: 0 closed, 1 open. 0 without a gripper or when the task does not use it."""
     opening_command: float
-    """Opening that the gripper was told to take: 0 closed, 1 open. 0 without a gripper."""
+    """Commanded opening of the gripper: 0 closed, 1 open. 0 without a gripper."""
     observed_tool_position: Vector
     """The tool position in m as the last `observe` gave it, with noise."""
 

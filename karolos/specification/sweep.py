@@ -1,4 +1,4 @@
-"""The `sweep` of a spec: search space, sampler, objectives."""
+"""The `sweep` of a spec (search space, sampler, objectives), and its `transfer` between settings."""
 
 from __future__ import annotations
 
@@ -304,7 +304,9 @@ def application_order(keys: Iterable[str]) -> list[str]:
 
 
 def space_problems(space: Node, sweep: Sweep, problems_of: Callable[[Sequence[Node]], list[Problem]]) -> list[Problem]:
-    """The problems of a sweep's search space.
+    """The problems of a sweep's search space, at the number or the choice.
+
+    Both ends of each range and every value of each choice are validated.
 
     Args:
         space: of the sweep, as it is written.
@@ -342,7 +344,7 @@ def _without_settings(above: Sequence[str], changes: Sequence[Node], key: str) -
 
 
 def _at_parameter(node: Node, key: str, problem: Problem) -> Problem:
-    """The problem, moved to the parameter if its position is elsewhere."""
+    """The problem, moved to the parameter if it is not inside."""
     if any(problem.where in (below.at, below.key) for below in node.walk()):
         return problem
     return Problem(node.place, f"sweep.space.{key}", f"{problem.setting}: {problem.what}", problem.hint)

@@ -96,7 +96,7 @@ def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple
 
 
 def _resamples(generator: Generator, seeds: int, count: int = RESAMPLES) -> Iterator[NDArray[np.int64]]:
-    """Resamples (k, seeds) of the seeds' places, `count` in all and some at a time."""
+    """`count` resamples of the seeds' places, some at a time: (k, seeds) each."""
     some = max(DRAWN // seeds, 1)
     for first in range(0, count, some):
         yield generator.integers(0, seeds, (min(some, count - first), seeds))

@@ -1,10 +1,10 @@
-"""Cubes that tasks move: settings, bodies, observation, ground they may lie on, and motions of experts near them."""
+"""Cubes that tasks move: settings, bodies, observation, places on the floor, and how experts grip and carry them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from math import cos, hypot, pi, sin
-from typing import Annotated, ClassVar
+from typing import Annotated, Any, ClassVar
 
 from pydantic import Field as Setting
 
@@ -65,15 +65,16 @@ class Cube:
     """A cube of a world: built once, placed at a reset, read after each step. A subclass has another shape."""
 
     def __init__(self, settings: CubeSettings, world: World, colour: Colour = CUBE_COLOUR) -> None:
-        mass, shape = settings.object_mass, self.shape(settings.object_size)
+        mass, shape = settings.object_mass, self.shape(settings)
         self.body = world.body([shape], mass, colour)
         self.body.set_friction(settings.object_friction)
         if settings.object_stiffness is not None:
             self.body.set_material(Material(stiffness=settings.object_stiffness))
         self.set_mass(mass)
 
-    def shape(self, size: float) -> Shape:
-        """The shape, given the setting `object_size`; sets `half`, half its height in m."""
+    def shape(self, settings: Any) -> Shape:
+        """The shape that the task's settings describe; sets `half`, half its height in m."""
+        size: float = settings.object_size
         self.half = size / 2
         return Cuboid((size, size, size))
 
@@ -127,7 +128,7 @@ class Cube:
     def observe(self, robot: RobotView) -> list[float]:
         """The numbers of `fields`, with the robot's observation noise.
 
-        The offset from the tool is that of the observed positions: it tells nothing that they do not tell.
+        The offset from the tool is that of the observed positions, so it adds no information.
         """
         values = robot.with_noise([*self.position, *columns(self.orientation), *self.velocity, *self.angular_velocity])
         return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
@@ -179,7 +180,7 @@ class CubeTask(Task):
         self.cubes = [self.object_class(self.settings, world, colour) for colour in self.colours[: self.number]]
         self.cube = self.cubes[0]
         if self.settings.force_penalty is not None:
-            self._robot.largest_force()  # PyBullet records forces from the first question on
+            self._robot.largest_force()  # starts PyBullet's record of forces
 
     def apply(self, world: World, name: str, value: float) -> None:
         super().apply(world, name, value)

@@ -121,10 +121,10 @@ class Insert(Task):
             0.0,
             ge=0,
             le=0.005,
-            description="largest error along x and y of the hole as it is known, m; randomization draws up to it",
+            description="largest error along x and y of the hole as it is known, m; randomization samples up to it",
         )
         hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.0)] = Setting(
-            0.0, ge=0, le=0.1, description="largest error of its turn, rad; likewise"
+            0.0, ge=0, le=0.1, description="largest error of its turn, rad; randomization samples up to it"
         )
         peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
@@ -198,7 +198,7 @@ class Insert(Task):
         self.peg = world.body(peg(self.settings.shape), self.settings.peg_mass, PEG_COLOUR)
         self.block.set_friction(self.settings.friction)
         self.peg.set_friction(1.0)
-        world.forces(self.peg)  # recorded from the first question on
+        world.forces(self.peg)  # starts the record of forces
         self._robot.largest_force()
 
     def apply(self, world: World, name: str, value: float) -> None:

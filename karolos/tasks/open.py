@@ -166,7 +166,7 @@ class Open(Task):
         for name in ("mass", "friction", "joint_friction", "joint_damping"):
             self.apply(world, name, getattr(self.settings, name))
         if self.settings.force_penalty is not None:
-            self._robot.largest_force()  # PyBullet records forces from the first question on
+            self._robot.largest_force()  # starts PyBullet's record of forces
 
     def _front(self) -> list[Shape]:
         """The drawer or the door with its handle, closed. The middle of the drawer's front or the hinge is at 0."""

@@ -96,7 +96,7 @@ class ReachPose(Task):
 
 
 class ReachPoseExpert(Expert):
-    """Moves straight to the goal, and turns the tool meanwhile."""
+    """Moves straight to the goal and turns the tool on the way."""
 
     def __init__(self, robot: RobotView, task: ReachPose) -> None:
         self._robot = robot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, hypot, pi, sqrt
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 from pydantic import Field as Setting
 
@@ -22,11 +22,10 @@ from ..simulation.geometry import (
     rotation_about,
     rotation_vector,
 )
-from ..simulation.interface import Material, RobotView, Stroke, World
+from ..simulation.interface import RobotView, Stroke, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .cube import (
     CARRYING_CLEARANCE,
-    CUBE_COLOUR,
     GRIP_HEIGHT,
     HOVER_HEIGHT,
     Cube,
@@ -88,23 +87,20 @@ UPWARDS = 0.7
 class Piece(Cube):
     """A box or a cylinder. Its third axis is along its length, its first across what a gripper holds."""
 
-    def __init__(self, settings: ReorientSettings, world: World) -> None:
-        self.edges = x, y, z = tuple(settings.object_size * edge for edge in EDGES)
+    def shape(self, settings: Any) -> Shape:
+        size: float = settings.object_size
+        self.edges = x, y, z = tuple(size * edge for edge in EDGES)
         self.round, self.half = settings.shape == "cylinder", z / 2
         self.width = y if self.round else x
         """Between the pads, in m."""
         shape: Shape = Cylinder(y / 2, z) if self.round else Cuboid((x, y, z))
         self.inertia = inertia_of([shape], 1.0).moments
         """Principal moments of 1 kg, in kg m2."""
-        self.body = world.body([shape], settings.object_mass, CUBE_COLOUR)
-        self.body.set_friction(settings.object_friction)
-        if settings.object_stiffness is not None:
-            self.body.set_material(Material(stiffness=settings.object_stiffness))
-        self.set_mass(settings.object_mass)
+        return shape
 
-    def set_mass(self, mass: float) -> None:
+    def moments(self, mass: float) -> Vector:
         a, b, c = self.inertia
-        self.body.set_inertia(mass, (mass * a, mass * b, mass * c))
+        return mass * a, mass * b, mass * c
 
     @property
     def lowest(self) -> float:
@@ -150,6 +146,7 @@ class Reorient(CubeTask):
     Settings = ReorientSettings
     settings: ReorientSettings
     drawn: ReorientSettings
+    object_class = Piece
     uses_gripper = True
     control = "pose"
     protective_stop = False  # a hand that comes down on the object presses with more than it allows
@@ -179,11 +176,8 @@ class Reorient(CubeTask):
         )
 
     def build(self, world: World) -> None:
-        self.cube = Piece(self.settings, world)
-        self.cubes = [self.cube]
+        super().build(world)
         self._marker = world.marker(0.015, GOAL_COLOUR)
-        if self.settings.force_penalty is not None:
-            self._robot.largest_force()  # PyBullet records forces from the first question on
 
     def reset(self, generator: Generator) -> None:
         robot, piece = self._robot, self.cube
@@ -253,7 +247,7 @@ def closing_yaw(robot: RobotView) -> float:
 
 
 ROOM, CLOSED = 0.03, 0.004
-"""m by which the gripper is wider than the object when it comes, and at the most when it holds it."""
+"""Opening of the gripper beyond the object's width in m: when it approaches, and the largest one when it holds it."""
 OVER, STRAIGHT = 0.01, 0.1
 """Distance from the object's axis in m, and turn of the tool to it in rad, within which the tool goes down."""
 NEAR = 0.012

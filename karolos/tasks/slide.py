@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from math import atan2, copysign, cos, hypot, pi, radians, sin, sqrt
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field as Setting
@@ -63,8 +63,8 @@ class Rest(PointGoal):
 class Puck(Cube):
     """A cylinder on its base, half as high as it is wide."""
 
-    def shape(self, size: float) -> Shape:
-        self.half, self.radius = size / 4, size / 2
+    def shape(self, settings: Any) -> Shape:
+        self.half, self.radius = settings.object_size / 4, settings.object_size / 2
         return Cylinder(self.radius, 2 * self.half)
 
     @property
@@ -180,7 +180,7 @@ class Slide(CubeTask):
 
     def build(self, world: World) -> None:
         super().build(world)
-        self._robot.touches_others()  # the world records forces from the first question on
+        self._robot.touches_others()  # starts the record of forces
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def apply(self, world: World, name: str, value: float) -> None:
@@ -252,7 +252,7 @@ def reach(robot: RobotView) -> float:
 NUDGE = 0.1
 """m/s with which the fingers come to the puck: one that is hit harder leaves them again."""
 SPEED_UP = 0.12
-"""m/s by which the tool is told to be faster than the puck at the most."""
+"""Largest commanded speed of the tool relative to the puck, in m/s."""
 GAIN = 0.35
 """Share of a missing velocity that is added to the commanded one in each control step."""
 ENOUGH = 0.99
@@ -268,7 +268,7 @@ class SlideExpert(PushExpert):
         super().reset()
         self._left = False
         self._told = self._nudge = NUDGE * self._task.ahead[0], NUDGE * self._task.ahead[1]
-        """Velocity in m/s that the tool is told, along x and y."""
+        """Commanded velocity of the tool along x and y, in m/s."""
 
     def act(self) -> FloatArray:
         robot, task, (tx, ty, _) = self._robot, self._task, self._robot.tool_position

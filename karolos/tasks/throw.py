@@ -33,7 +33,7 @@ class Landing(GoalRule):
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
     reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure for every target
-    costs `failure_cost`. A miss is worth 0 as well, so nothing else would tell a policy to keep off the floor.
+    costs `failure_cost`. A miss is worth 0 as well, so nothing else would keep a policy off the floor.
     """
 
     def __init__(self, threshold: float, *, dense: bool, failure_cost: float) -> None:
@@ -159,7 +159,7 @@ class Throw(CubeTask):
     def build(self, world: World) -> None:
         super().build(world)
         world.release_in_motion()
-        self._robot.touches_others()  # the world records forces from the first question on
+        self._robot.touches_others()  # starts the record of forces
         self._lead = world.lead
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
@@ -319,7 +319,7 @@ class ThrowExpert(Expert):
         if accelerated:
             speed_up = self._speed_up * (1 + SPEED_GAIN * self._shortfall(positions, velocities))
             self._speed_up = min(max(speed_up, 1 / LARGEST_SPEED_UP), LARGEST_SPEED_UP)
-        # a joint that is slower than planned is told to go further, within its step
+        # a joint that is slower than planned gets a larger change, within its step
         planned = self._velocities * self._speed_up * min(1.0, self._throwing * period / RAMP_SECONDS)
         largest = LARGEST_CORRECTION * np.abs(self._velocities) * period
         correction = self._correction + VELOCITY_GAIN * (planned - velocities) * period

@@ -15,7 +15,7 @@ from ..simulation.geometry import Vector
 from ..simulation.interface import GRAVITY, RobotView
 
 LONGEST_FLIGHT = 3.0
-"""Seconds that a flight is followed at the most; no robot throws higher than for 2."""
+"""Longest flight in s; no robot throws higher than for 2 s."""
 FLIGHT_STEPS = 100
 """Steps in which the floor is looked for along a whole flight."""
 

@@ -78,9 +78,7 @@ class Training:
         self.collector = Collector(
             self.orchestrator, self.agent, self.buffer, self.seeds, amounts.warmup_episodes, self.at_least
         )
-        self.learner = Learner(
-            self.agent, self.buffer, amounts.batch_size, amounts.replay_ratio, self.orchestrator.size
-        )
+        self.learner = Learner(self.agent, self.buffer, amounts, self.orchestrator.size)
 
     def rounds(self) -> Iterator[Progress]:
         """Rounds until training is over."""
@@ -200,16 +198,13 @@ class Learner:
     Args:
         agent: makes the updates.
         buffer: gives the batches and gets the priorities.
-        batch_size: transitions per update.
-        replay_ratio: transitions learned from per environment step.
+        amounts: the batch size and the replay ratio.
         environments: number of environments, which bounds the updates that may wait in async mode.
     """
 
-    def __init__(
-        self, agent: Agent[Any], buffer: Buffer[Any], batch_size: int, replay_ratio: float, environments: int
-    ) -> None:
-        self._agent, self._buffer, self._batch_size = agent, buffer, batch_size
-        self._due = Ratio(replay_ratio / batch_size)
+    def __init__(self, agent: Agent[Any], buffer: Buffer[Any], amounts: TrainingSettings, environments: int) -> None:
+        self._agent, self._buffer, self._batch_size = agent, buffer, amounts.batch_size
+        self._due = Ratio(amounts.replay_ratio / amounts.batch_size)
         self._owed = 0
         """Updates that are due and not made yet."""
         self._may_wait = math.ceil(environments * self._due.ratio)
@@ -218,7 +213,7 @@ class Learner:
         """Results of `agent.learn`."""
 
     def pretrain(self, updates: int) -> None:
-        """Learn before the first environment step, until `updates` are made in all; some of them in each call."""
+        """Make some updates before the first environment step, in each call until the total is `updates`."""
         for _ in range(min(PRETRAINING_UPDATES_PER_ROUND, updates - self.updates)):
             self._learn(self._batch_size)
 

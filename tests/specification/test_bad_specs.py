@@ -10,7 +10,7 @@ from support.fake_plugins import Point
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
 from karolos.errors import PluginError, SpecError
-from karolos.specification import explain, load_spec, spec_from_dict
+from karolos.specification import bind, load_spec, spec_from_dict
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
@@ -79,8 +79,8 @@ def test_union_mistake_is_told_once(tmp_path):
 
 @pytest.mark.parametrize("case", REFUSED["specs"])
 def test_no_mistake_is_told_in_words_of_pydantic(tmp_path, monkeypatch, case):
-    said = explain._text
-    monkeypatch.setattr(explain, "_text", lambda entry: said({**entry, "msg": "?"}))
+    said = bind._text
+    monkeypatch.setattr(bind, "_text", lambda entry: said({**entry, "msg": "?"}))
     test_each_mistake_is_one_line_at_its_place(tmp_path, case)
 
 

@@ -1,4 +1,4 @@
-"""An environment of gymnasium as an environment of karolos."""
+"""An environment of gymnasium as an environment of karolos, and its goals as a goal rule for buffers."""
 
 from __future__ import annotations
 
@@ -418,7 +418,7 @@ GOALS_SETTING = "environment.goals"
 class GymnasiumGoals(GoalRule):
     """Reward and termination by the environment's `compute_reward` and `compute_terminated`.
 
-    The environment stays behind when the rule is pickled; elsewhere the rule makes one of its own at its first use.
+    A pickled rule has no environment. It makes one at its first use.
 
     Args:
         make: makes the environment; can be pickled.

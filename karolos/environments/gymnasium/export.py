@@ -20,8 +20,7 @@ from ...registry import alternatives, load
 from ...simulation.engines import ENGINES
 from ...specification import Spec, spec_from_dict
 from ...specification.parts import Part, Recipe
-from ..build import build_environment
-from ..facts import Facts
+from ..build import Facts, build_environment
 from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")

@@ -1,4 +1,4 @@
-"""One body of a PyBullet world: its pose, its joints, its material."""
+"""One body of a PyBullet world, with its pose, joints and material; PyBullet's functions for one world."""
 
 from __future__ import annotations
 
@@ -124,7 +124,8 @@ _IMPORTING = Lock()
 def _pybullet() -> Any:
     """The module, imported when a world is built, so that specs are checked without it.
 
-    PyBullet prints its build time on stderr at import, which would interrupt progress bars: stderr is closed meanwhile.
+    PyBullet prints its build time on stderr at import, which would interrupt progress bars. So stderr is
+    closed during the import.
     """
     with _IMPORTING:
         if "pybullet" in sys.modules:

@@ -257,7 +257,7 @@ class BulletWorld:
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
     def forces(self, body: Body) -> dict[tuple[int, int], float]:
-        # recorded from the first question on, because looking in each physics step costs some us
+        # recorded from the first call on, because a look in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
 
     def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..geometry import Quaternion, Vector
 from ..interface import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
-from .body import MujocoBody
-from .simulation import Simulation
+from .simulation import MujocoBody, Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""

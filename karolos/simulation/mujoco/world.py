@@ -1,4 +1,4 @@
-"""A MuJoCo world."""
+"""A MuJoCo world, and its OpenGL renderer without a visible window."""
 
 from __future__ import annotations
 
@@ -40,9 +40,8 @@ from ..parts import Mechanism
 from ..picture import Eye, Marker, draw
 from ..shapes import Inertia, Shape
 from ..urdf import link_of
-from .body import MujocoBody
 from .motors import MujocoMotors, Passive
-from .simulation import JOINT_IMPEDANCE, Simulation
+from .simulation import JOINT_IMPEDANCE, MujocoBody, Simulation
 
 MARGIN = 0.005
 """m between two bodies within which a contact is looked for: one that comes nearer by more in a physics step is noticed
