@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -171,6 +172,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 
 
+@cache
 def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int = 60) -> dict[str, Any]:
     """All states after some rounds of four environments; those after `saved_after` go to new parts meanwhile."""
     layout = {"processes": processes, "environments": 4 // max(processes, 1)}
