@@ -1,7 +1,5 @@
 """Fixtures for tests of several areas."""
 
-from __future__ import annotations
-
 import os
 import signal
 from collections.abc import Callable, Iterator

@@ -3,8 +3,6 @@
 `tests/support/elsewhere/sitecustomize.py` says what is imitated and what is not.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json

@@ -1,7 +1,5 @@
 """What a command or a module does not need is not imported, so that it starts fast and is small in a worker."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

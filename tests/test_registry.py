@@ -1,7 +1,5 @@
 """The registry: names without imports, classes when asked for, and errors that name the culprit."""
 
-from __future__ import annotations
-
 import importlib.metadata
 import sys
 

@@ -1,7 +1,5 @@
 """DDPG and TD3: what their values mean, what tells them apart, how they explore."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Gradients that agents write down, against those that autograd finds for the losses as their papers give them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """PPO: its advantages, the policy it compares with, what it learns, and what it forgets nothing of."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from typing import Any

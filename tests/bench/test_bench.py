@@ -1,7 +1,5 @@
 """Each benchmark at toy size: its rows, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Prioritised replay: odds, weights, and names that outlive their slots."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

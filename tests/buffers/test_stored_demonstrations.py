@@ -1,7 +1,5 @@
 """Demonstrations in replay buffers: never overwritten, sampled and relabelled as all else, saved and loaded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

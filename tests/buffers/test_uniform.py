@@ -1,7 +1,5 @@
 """The replay buffer: what it keeps, what it gives, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

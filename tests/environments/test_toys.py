@@ -1,7 +1,5 @@
 """The environments on which fast tests stand: a point that moves, and bits that are flipped until they match."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

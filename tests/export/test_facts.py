@@ -1,7 +1,5 @@
 """What policy.json says of a robot is what the environment does when it is stepped."""
 
-from __future__ import annotations
-
 from itertools import product
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The checks can fail: plugins that break a promise are told which, in one line."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from pathlib import Path

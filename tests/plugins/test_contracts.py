@@ -1,7 +1,5 @@
 """Everything that is installed keeps what its kind promises; the promises stand in karolos.plugins.contracts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 

@@ -1,7 +1,5 @@
 """An arm with its gripper: grasping, yaw, delay, noise."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import made

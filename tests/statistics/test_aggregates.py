@@ -1,7 +1,5 @@
 """Statistics over seeds."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

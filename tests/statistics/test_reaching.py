@@ -1,7 +1,5 @@
 """When runs reach a threshold, of which some end before, beside tables worked by hand and SciPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.stats import CensoredData, ecdf

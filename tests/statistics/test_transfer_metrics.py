@@ -1,7 +1,5 @@
 """Metrics of transfer beside tables worked by hand and the definitions of their papers."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

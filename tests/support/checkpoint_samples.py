@@ -1,7 +1,5 @@
 """Parts and metadata of checkpoints."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 

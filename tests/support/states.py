@@ -1,7 +1,5 @@
 """Comparison of nested states: of agents, buffers, training, checkpoints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -3,8 +3,6 @@
 TORTURE=50 TORTURE_SEED=7 pytest -s tests/torture/test_flips.py
 """
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

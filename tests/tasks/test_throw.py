@@ -1,7 +1,5 @@
 """Throw: what lands where, and that every robot can do it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import ENGINES, ROBOTS, expert_episode, made, values

@@ -1,7 +1,5 @@
 """Environments that misbehave in every method: each run ends in time, in one state and with a reason."""
 
-from __future__ import annotations
-
 import itertools
 import json
 import os

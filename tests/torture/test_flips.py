@@ -1,7 +1,5 @@
 """Flips bits of an archive of runs: an import refuses it with one line, or brings exactly what was exported."""
 
-from __future__ import annotations
-
 import random
 import shutil
 from collections import Counter

@@ -4,8 +4,6 @@ Kills fall into training, testing, checkpoints and index writes alike: some time
 the next checkpoint to be amid its writing. Half of them hit a worker of the run, which goes on.
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import os

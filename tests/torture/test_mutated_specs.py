@@ -6,8 +6,6 @@ test one in a hundred that `check` accepts is run with a small budget, in a proc
 finished, or if the command ends with an error of one line.
 """
 
-from __future__ import annotations
-
 import copy
 import json
 import random

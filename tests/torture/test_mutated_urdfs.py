@@ -5,8 +5,6 @@ karolos: a robot is proposed from it, and an arm of its own loads it in each eng
 in a process of its own.
 """
 
-from __future__ import annotations
-
 import random
 import resource
 import struct

@@ -5,8 +5,6 @@ tested, and started again after some seconds. Every command has to end with 0 an
 enters the tests of the outage, and `karolos db check` then says nothing.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import signal

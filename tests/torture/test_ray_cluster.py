@@ -3,8 +3,6 @@
 The machines are processes of this one (ray.cluster_utils).
 """
 
-from __future__ import annotations
-
 import contextlib
 import json
 import random

@@ -1,7 +1,5 @@
 """Parts that do not go together are refused before anything runs, at file:line:column; and layouts change no result."""
 
-from __future__ import annotations
-
 import re
 from functools import cache
 from itertools import islice

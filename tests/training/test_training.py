@@ -1,7 +1,5 @@
 """The training loop: what it hands to the buffer, when it learns, that counts alone decide, and that it goes on."""
 
-from __future__ import annotations
-
 import itertools
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """The training loop on whatever is ready: nothing lost, nothing joined, the replay ratio kept, how old actions are."""
 
-from __future__ import annotations
-
 import itertools
 from functools import partial
 from types import SimpleNamespace
