@@ -1,7 +1,6 @@
 """Fixtures for tests of several areas."""
 
-from __future__ import annotations
-
+import os
 import signal
 from collections.abc import Callable, Iterator
 
@@ -12,6 +11,7 @@ from support.fake_plugins import FAKES
 from karolos import registry
 
 Install = Callable[..., None]
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch: two that share a busy core wait for each other
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
 
 

@@ -1,7 +1,5 @@
 """What ARCHITECTURE.md says of the code is true."""
 
-from __future__ import annotations
-
 import ast
 import re
 import runpy

@@ -3,8 +3,6 @@
 `tests/support/elsewhere/sitecustomize.py` says what is imitated and what is not.
 """
 
-from __future__ import annotations
-
 import ast
 import importlib.util
 import json
@@ -12,7 +10,6 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -74,11 +71,23 @@ def test_a_fault_is_found(line: str) -> None:
     assert list(faults(line))
 
 
-def run_here(folder: Path, *words: str, **environment: str) -> str:
-    """Call karolos in a folder; what it prints."""
-    command = [sys.executable, "-X", "warn_default_encoding", "-m", "karolos_cli", *words]
+CALL = """
+import sys
+from karolos_cli import main
+for words in sys.argv[1:]:
+    sys.argv = ["karolos", *words.split()]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, words
+"""
+
+
+def run_here(folder: Path, *commands: str, **environment: str) -> str:
+    """Call karolos in a folder, one command after the other; what it prints."""
+    call = [sys.executable, "-X", "warn_default_encoding", "-c", CALL, *commands]
     done = subprocess.run(
-        command, cwd=folder, env=os.environ | environment, capture_output=True, encoding="utf-8", check=False
+        call, cwd=folder, env=os.environ | environment, capture_output=True, encoding="utf-8", check=False
     )
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -88,7 +97,7 @@ def run_here(folder: Path, *words: str, **environment: str) -> str:
 def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same run on Linux."""
     folder = tmp_path_factory.mktemp("linux")
-    run_here(folder, "run", "karolos:smoke/toy", "--quiet")
+    run_here(folder, "run karolos:smoke/toy --quiet")
     (run,) = folder.glob("runs/*-s0-*")
     return run
 
@@ -98,12 +107,11 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_runs_are_made_stopped_resumed_and_compared(as_system: str, there: Path, tmp_path: Path) -> None:
     """Two processes of runs with a worker each; the training episodes are those of Linux."""
     environment = {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
-    karolos = partial(run_here, tmp_path, **environment)
-    karolos("run", "karolos:smoke/toy", "seeds=[0,1]", "--jobs", "2", "--quiet")
+    run_here(tmp_path, "run karolos:smoke/toy seeds=[0,1] --jobs 2 --quiet", **environment)
     (elsewhere,) = (tmp_path / "runs").glob("*-s0-*")
     assert (elsewhere / "episodes.jsonl").read_bytes() == (there / "episodes.jsonl").read_bytes()
-    assert "smoke_toy" in karolos("compare", "smoke_toy")
-    karolos("runs", "rm", elsewhere.name)
-    karolos("runs", "restore", elsewhere.name)
-    rows = map(json.loads, karolos("runs", "list", "--json").splitlines())
-    assert {row["state"] for row in rows} == {"finished"}
+    commands = "compare smoke_toy", f"runs rm {elsewhere.name}", f"runs restore {elsewhere.name}", "runs list --json"
+    told = run_here(tmp_path, *commands, **environment)
+    assert "smoke_toy" in told
+    rows = [json.loads(line) for line in told.splitlines() if line.startswith('{"run"')]
+    assert [row["state"] for row in rows] == ["finished"] * 2

@@ -1,7 +1,5 @@
 """Tables of learning are generated from reference runs, and these are of the specs that ship."""
 
-from __future__ import annotations
-
 import json
 import runpy
 import shutil

@@ -1,7 +1,5 @@
 """Every agent learns with every buffer that goes with it, with and without hindsight and several steps at once."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Agents on a GPU: they run there, and learn what they learn on a CPU."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """DDPG and TD3: what their values mean, what tells them apart, how they explore."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -65,14 +63,3 @@ def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(a
     by_chance = (inside / 2).prod(1).mean()
     assert near.mean() == pytest.approx(0.75 + 0.25 * by_chance, abs=0.03)
     assert np.abs(noisy).max() <= 1
-
-
-def test_the_action_penalty_holds_actions_near_the_middle() -> None:
-    sizes = []
-    for penalty in (0.0, 100.0):
-        made = make(DDPG, action_penalty=penalty)
-        for seed in range(100):
-            made.learn(batch(32, signature(), seed % 10, reward=1))
-        data = batch(50, signature(), 7)
-        sizes.append(np.abs(made.act(data.observation, data.desired_goal, explore=False)).mean())
-    assert sizes[1] < 0.5 * sizes[0]

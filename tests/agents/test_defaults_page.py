@@ -1,7 +1,5 @@
 """docs/defaults.md: the defaults that it explains are those of the code."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Which precision and device a name means."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """DQN: what its values mean, how it explores, and what it stores."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

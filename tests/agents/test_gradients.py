@@ -1,7 +1,5 @@
 """Gradients that agents write down, against those that autograd finds for the losses as their papers give them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 
@@ -12,6 +10,7 @@ from support.parts import batch, leaf, plain, signature
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
+from karolos.agents.actor_critic import imitation_loss
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import TensorBatch, tensor_batch
@@ -56,6 +55,7 @@ def critics_gradient(critic: MLP, inputs: TensorBatch, targets: Tensor) -> Tenso
 def shown(action: Tensor, better: Tensor, inputs: TensorBatch) -> Tensor:
     """Mean squared distance to the demonstrated actions that the critics prefer."""
     assert inputs.demonstrated is not None
+    assert 0 < (inputs.demonstrated * better).sum() < inputs.demonstrated.sum()
     distance = (action - inputs.action).square().sum(1)
     return (inputs.demonstrated * better * distance).sum() / inputs.demonstrated.sum()
 
@@ -114,6 +114,14 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     expected = critics_gradient(made.critic, inputs, made.targets(inputs, made.next_action(inputs.next_input)))
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
+
+
+def test_without_demonstrations_nothing_is_imitated() -> None:
+    for agent in (SAC, DDPG, TD3):
+        made = agent(agent.Settings.model_validate({**STILL, "imitation": 1.0}), signature(), SeedTree(0))
+        assert "imitation_loss" not in made.learn(batch(64, signature()))
+        none = tensor_batch(data()._replace(demonstrated=np.zeros(64, np.float32)), made.normaliser, made.device)
+        assert imitation_loss(torch.ones(64, 2), torch.ones(64, dtype=torch.bool), none)[0].item() == 0
 
 
 @pytest.mark.parametrize("dueling", [False, True])

@@ -1,7 +1,5 @@
 """Running statistics, and inputs normalised by them."""
 
-from __future__ import annotations
-
 import numpy as np
 import torch
 from hypothesis import given, settings

@@ -1,7 +1,5 @@
 """Networks against torch.nn, which is slower and known to be right."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import pytest

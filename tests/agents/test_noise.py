@@ -1,7 +1,5 @@
 """Exploration noise: what each kind looks like over an episode, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

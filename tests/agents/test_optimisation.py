@@ -1,7 +1,5 @@
 """Adam over vectors: schedules, cut gradients, and a state that goes on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

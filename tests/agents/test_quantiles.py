@@ -1,7 +1,5 @@
 """Quantile critics: their loss and targets against the formulas written out, and that they learn."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """SAC: what its values mean, what it refuses, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

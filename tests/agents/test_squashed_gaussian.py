@@ -1,7 +1,5 @@
 """The policy's distribution against torch.distributions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """What the values of agents that replay mean, whatever the algorithm."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

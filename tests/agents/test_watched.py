@@ -1,7 +1,5 @@
 """What agents say of their updates, by the names under which it stands in TensorBoard."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Each benchmark at toy size: its rows, and what it refuses."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys
@@ -41,16 +39,14 @@ def rows_of(capfd: pytest.CaptureFixture[str], *arguments: str) -> list[dict]:
     return rows
 
 
-def test_each_precision_has_a_row_with_sampling_and_one_without_and_output_begins_with_json() -> None:
-    command = [sys.executable, "-m", "bench", "updates", "--only", "sac", "--seconds", "0.1", "--json"]
-    done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
-    rows = [json.loads(line) for line in done.stdout.splitlines()]
+def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.CaptureFixture[str]) -> None:
+    rows = rows_of(capfd, "updates", "--only", "sac", "--seconds", "0.1")
     assert [row["case"] for row in rows] == [
         f"sac {precision}{what}, 1 thread"
         for precision in ("float32", "bfloat16")[: 1 + uses_bfloat16("auto", "cpu")]
         for what in ("", ", learning alone")
     ]
-    assert all(list(row) == COLUMNS and row["unit"] == "updates/s" and row["value"] > 0 for row in rows)
+    assert {row["unit"] for row in rows} == {"updates/s"}
 
 
 def test_what_libraries_print_does_not_reach_standard_output() -> None:

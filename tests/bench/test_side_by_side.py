@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import pytest
 
 from bench.side_by_side import Row, beside, take_turns

@@ -1,7 +1,5 @@
 """Augmented transitions are those of the same thing done elsewhere on the floor, and in a mirror."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Hindsight: relabelled rewards and terminations, and the check of the first transitions."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Multi-step transitions against a reference that walks the episodes one step at a time."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The on-policy buffer: every transition once and in order, whatever environments answer and wherever they end."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Demonstrations in replay buffers: never overwritten, sampled and relabelled as all else, saved and loaded."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -91,6 +89,7 @@ def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: A
     first, second = make(buffer), make(buffer)
     first.add_demonstrations(episodes(5), share)
     world = filled(first, 17)
+    first.update_priorities(first.sample(64).slot, np.arange(64, dtype=np.float32))
     second.load_state(first.state())
     for made in (first, second):
         filled(made, 5, Counting(2))

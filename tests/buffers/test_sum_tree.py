@@ -1,7 +1,5 @@
 """The sum tree against a plain array."""
 
-from __future__ import annotations
-
 import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The replay buffer: what it keeps, what it gives, and that it goes on where it stopped."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -132,15 +130,6 @@ def test_a_batch_row_is_one_transition_as_it_was_stored() -> None:
     assert (batch.discount == np.float32(0.9)).all()
     assert (batch.weight == 1).all()
     assert batch.slot.shape == batch.reward.shape == batch.terminated.shape == (100,)
-
-
-def test_truncated_transitions_are_not_terminated() -> None:
-    buffer = make(counting_signature(2), 20)
-    world = Counting(1)
-    buffer.add(world.step([0], over=[True]))
-    buffer.add(world.step([0], over=[True], fallen=True))
-    batch = buffer.sample(50)
-    np.testing.assert_array_equal(batch.terminated, [float(episode == 2) for episode, _ in places(batch)])
 
 
 def test_a_saved_state_does_not_change_with_the_buffer() -> None:

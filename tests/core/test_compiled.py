@@ -1,7 +1,5 @@
 """Compiled functions lie where the platform keeps caches, are compiled once, and never mistaken for others."""
 
-from __future__ import annotations
-
 import os
 import sys
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Schedules: what is due depends on counts alone."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st

@@ -1,7 +1,5 @@
 """The gallery's pages show what stands in the reference runs."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys

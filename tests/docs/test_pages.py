@@ -1,7 +1,5 @@
 """README and the pages of docs/: their commands and code work as written, one after the other, at toy size."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

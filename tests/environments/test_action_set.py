@@ -1,7 +1,5 @@
 """The discrete action set of robots: its labels, what they do, and what stays as it was asked for."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """An environment of gymnasium's as one of karolos's."""
 
-from __future__ import annotations
-
 import pickle
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Robots with tasks in gymnasium."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 import warnings

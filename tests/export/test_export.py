@@ -1,7 +1,5 @@
 """Exported policies act as their agents do; what cannot be exported is refused, and nothing wrong is left behind."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """What policy.json says of a robot is what the environment does when it is stepped."""
 
-from __future__ import annotations
-
 from contextlib import AbstractContextManager
 from itertools import product
 from typing import Any

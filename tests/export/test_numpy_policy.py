@@ -1,7 +1,5 @@
 """The reader of exported policies: by itself, without karolos; and what the documentation says of the format."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Policies that ship are those of reference runs, and are policies in every command."""
 
-from __future__ import annotations
-
 import json
 import runpy
 from itertools import product

@@ -1,28 +1,15 @@
 """Everything that is installed keeps what its kind promises; the promises stand in karolos.plugins.contracts."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from itertools import product
 
 import pytest
-import torch
 from support.robots import ROBOTS
 
 from karolos.plugins.contracts import Case, candidate, cases, environments
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import load, names
 from karolos.simulation.engines import BULLET
-
-
-@pytest.fixture(autouse=True)
-def one_thread() -> Iterator[None]:
-    """Two threads that share a busy core wait for each other longer than they compute."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
 
 DISTRIBUTIONS = {
     "choice": {"values": (1.0, 2.0)},

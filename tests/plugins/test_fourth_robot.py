@@ -1,7 +1,5 @@
 """A robot that no task has heard of: every task works with it, and what robots promise is promised by it too."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Contracts need the public protocol alone: a robot that is no arm is checked for all that applies to it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """`karolos plugins new robot --urdf`: what is proposed for somebody's URDF; tests/docs goes the way of the guide."""
 
-from __future__ import annotations
-
 import importlib
 import re
 from dataclasses import replace

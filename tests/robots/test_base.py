@@ -1,7 +1,5 @@
 """Where an arm stands."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import ENGINES, ROBOTS, expert_episode, made

@@ -1,7 +1,5 @@
 """Forward kinematics and masses are those that the makers publish."""
 
-from __future__ import annotations
-
 from math import cos, pi, sin
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Arms that strike the floor."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

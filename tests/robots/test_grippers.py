@@ -1,7 +1,5 @@
 """Arms with grippers that are not their own; what each combination promises is checked with the contracts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import product
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A protective stop: what the arm notices, and what it does to the episode, on both engines."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """A release within a control step: when the gripper opens, on both engines."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What every engine promises to robots and tasks. Each test runs once per installed engine."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from pathlib import Path

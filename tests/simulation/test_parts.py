@@ -1,7 +1,5 @@
 """Parts from files: mass and inertia, what they collide as, and fixtures with joints from URDF, MJCF and code."""
 
-from __future__ import annotations
-
 import re
 import sys
 import warnings

@@ -1,7 +1,5 @@
 """What docs/physics.md says of bodies without a robot holds in both engines."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 

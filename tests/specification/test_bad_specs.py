@@ -1,7 +1,5 @@
 """Bad specs: one clear line for each mistake, at its place."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """`extends` and overrides: what is laid over what, and which files may be read."""
 
-from __future__ import annotations
-
 import pytest
 from support.spec_files import GOOD, problems_of, write
 

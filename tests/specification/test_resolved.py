@@ -1,7 +1,5 @@
 """Resolved specs: defaults, dump, origins, hash, recipe, pickling."""
 
-from __future__ import annotations
-
 import json
 import os
 import pickle

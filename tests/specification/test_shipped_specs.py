@@ -1,7 +1,5 @@
 """The specs and the plugins that ship, their schema, and a number where a distribution is expected."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

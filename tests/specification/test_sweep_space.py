@@ -1,7 +1,5 @@
 """The `sweep` of a spec: its search space against the settings of the plugins, and the specs of its trials."""
 
-from __future__ import annotations
-
 import pytest
 from support.spec_files import GOOD, REFUSED, problems_of, write
 

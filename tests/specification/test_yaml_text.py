@@ -1,7 +1,5 @@
 """YAML text: 1.2 scalars, positions, and what is refused."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """Statistics over seeds, against scipy and samples worked out by hand."""
 
-from __future__ import annotations
-
 import tracemalloc
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What is closed when its test ends."""
 
-from __future__ import annotations
-
 from typing import Protocol, TypeVar
 
 

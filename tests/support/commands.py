@@ -1,7 +1,5 @@
 """Runs a command in this process as the command line does."""
 
-from __future__ import annotations
-
 import io
 import re
 

@@ -1,7 +1,5 @@
 """Runs for comparisons, without folders or a database."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 """Empty databases of each kind that the store supports."""
 
-from __future__ import annotations
-
 import os
 import uuid
 from collections.abc import Iterator

@@ -1,7 +1,5 @@
 """Small runs of every agent, whose policies tests export."""
 
-from __future__ import annotations
-
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp

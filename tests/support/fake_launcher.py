@@ -1,7 +1,5 @@
 """A launcher that executes runs in this process, one after the other, and may pretend that their processes died."""
 
-from __future__ import annotations
-
 from collections import deque
 from pathlib import Path
 

@@ -5,8 +5,6 @@ of the file `troubles` beside it is what the next squeue does instead: fail, or 
 gets the arguments of scancel.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

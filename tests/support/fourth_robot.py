@@ -4,8 +4,6 @@ It works to its left instead of ahead, in a workspace smaller than the square of
 to the axes of the world: what a task must not take for granted.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from math import pi
 from pathlib import Path

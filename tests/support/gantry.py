@@ -1,7 +1,5 @@
 """A gantry: three axes that carry a tool, written on the protocol `Robot` alone. It is no arm and has no gripper."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from typing import ClassVar
 

@@ -3,8 +3,6 @@
 "late step:exit" does so after some calls, and not yet when a spec is checked; "tail step:nan" late in each episode.
 """
 
-from __future__ import annotations
-
 import os
 import signal
 import sys

@@ -1,7 +1,5 @@
 """A task with a part of somebody: an L from an STL is picked."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

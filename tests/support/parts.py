@@ -1,7 +1,5 @@
 """Small signatures and batches for tests of agents."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

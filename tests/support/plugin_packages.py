@@ -1,7 +1,5 @@
 """Starter packages, written and made importable as if they were installed."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """Meshes of parts: an L and a block with a square hole, as somebody's CAD would write them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path

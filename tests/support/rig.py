@@ -1,7 +1,5 @@
 """Robots with tasks and worlds, which the end of a test closes; installed engines; an episode of an expert."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from karolos.core import Environment, Step

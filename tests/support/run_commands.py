@@ -1,7 +1,5 @@
 """Calls of commands whose errors a test reads as exceptions."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

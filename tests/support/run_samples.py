@@ -1,7 +1,5 @@
 """Spec and folders of small runs, and what the index has of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Specs written to files, and the errors of loading them."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

@@ -1,7 +1,5 @@
 """Comparison of nested states: of agents, buffers, training, checkpoints."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,6 +7,7 @@ import torch
 
 from karolos.plugins.contracts.case import state_differences
 from karolos.records import RunFolder, checkpoint
+from karolos.store import Store, query
 
 
 def assert_same_state(one: object, other: object) -> None:
@@ -16,17 +15,34 @@ def assert_same_state(one: object, other: object) -> None:
     assert state_differences(one, other, ignore=frozenset({"seconds"})) == []
 
 
+def run_differences(one: RunFolder, other: RunFolder, database: str | None = None) -> list[str]:
+    """Where two runs of the same spec and seed differ, except for the seconds they took.
+
+    Args:
+        one: folder of a run.
+        other: folder of another one.
+        database: URL of the index that holds the first.
+    """
+    last, reference = (checkpoint.load(run.checkpoints, "last")[0] for run in (one, other))
+    found = state_differences(last, reference, ignore=frozenset({"seconds"}), path="last")
+    tests, expected = ([(test.steps, test.any, test.end, test.returns) for test in run.tests()] for run in (one, other))
+    found += ["tests.jsonl"] if tests != expected else []
+    if (one.path / "episodes.jsonl").read_text() != (other.path / "episodes.jsonl").read_text():
+        found.append("episodes.jsonl")
+    if database is not None:
+        with Store(database) as store:
+            (record,) = store.records([query.find(store, one.id)])
+        counts = [(test.steps, test.successes_any, test.successes_end) for test in record.tests]
+        if counts != [(test.steps, sum(test.any), sum(test.end)) for test in one.tests()]:
+            found.append(f"tests in the database: {counts}")
+        if record.summary != one.summary():
+            found.append("the run's row in the database")
+    return found
+
+
 def assert_same_runs(one: RunFolder, other: RunFolder) -> None:
     """Both runs are finished, and have the same tests, training episodes and checkpoint `last`, bit for bit."""
-    assert_same_state(checkpoint.load(one.checkpoints, "last")[0], checkpoint.load(other.checkpoints, "last")[0])
-    for first, second in zip(one.tests(), other.tests(), strict=True):
-        assert (first.steps, first.any, first.end, first.returns) == (
-            second.steps,
-            second.any,
-            second.end,
-            second.returns,
-        )
-    assert (one.path / "episodes.jsonl").read_text() == (other.path / "episodes.jsonl").read_text()
+    assert run_differences(one, other) == []
     assert one.state().state == other.state().state == "finished"
 
 

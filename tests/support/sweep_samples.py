@@ -1,7 +1,5 @@
 """A sweep over a point on a line, which is learned within a second with a suitable learning rate."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """A spec whose run ends within a second."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """An environment that counts its steps, and an agent and buffer in one that records the calls of the training loop."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from types import SimpleNamespace
 from typing import ClassVar

@@ -1,7 +1,5 @@
 """A transfer between two speeds of a point on a line, whose runs take a fraction of a second."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

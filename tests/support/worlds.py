@@ -1,7 +1,5 @@
 """Transitions whose numbers identify them, and a reference that stores all of them."""
 
-from __future__ import annotations
-
 from collections.abc import Sequence
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What domain randomization does to a cube: friction and mass act as the laws of physics say, and leave nothing."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import ENGINES, expert_episode, made, part, values

@@ -1,7 +1,5 @@
 """Pick-and-place, push and stack: placed honestly, what counts as success, starts by stages."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import ENGINES, ROBOTS, expert_episode, made, values

@@ -1,7 +1,5 @@
 """Insertion: starts, what is known of the hole, force, and that the hole is as wide as it says."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

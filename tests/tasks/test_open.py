@@ -1,7 +1,5 @@
 """Opening: drawer and door are opened and closed by their handles, and starts are what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import ROBOTS, expert_episode, made, values

@@ -1,7 +1,5 @@
 """Parts of somebody in tasks: an expert picks an L from an STL, on three arms."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

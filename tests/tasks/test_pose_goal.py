@@ -1,7 +1,5 @@
 """Goals that are poses."""
 
-from __future__ import annotations
-
 from math import pi, radians
 
 import numpy as np

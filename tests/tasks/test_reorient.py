@@ -1,7 +1,5 @@
 """Reorienting: a cylinder is brought to its pose, objects lie or stand, and starts are what they say."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from support.rig import expert_episode, made, values

@@ -1,7 +1,5 @@
 """The dense reward of pick and place: more for every stage, bounded, a function of what the goal rule sees."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given

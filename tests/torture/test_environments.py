@@ -1,15 +1,59 @@
-"""The short version of environments.py: environments that misbehave, in this process."""
+"""Environments that misbehave in every method: each run ends in time, in one state and with a reason."""
 
-from __future__ import annotations
-
+import itertools
+import json
+import os
+import random
 import re
+import subprocess
+import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
-from support.hostile import spec
+from support.hostile import KINDS, METHODS, spec
+from support.torture import SEED, TIMES
 
 from karolos.errors import PluginError, UsageError
 from karolos.launchers.experiment import Experiment
+from karolos.records import RunFolder
+
+LEAK_BYTES = 2 << 30
+"""Address space of an environment that leaks memory, beyond which it fails."""
+SECONDS = 120.0
+"""In which a command has to end."""
+
+
+def call(home: Path, *arguments: str, limited: bool) -> tuple[int, str]:
+    """Exit code and output of a command; 1000 if it does not end."""
+    command = [sys.executable, "-m", "karolos_cli", *arguments]
+    if limited:
+        command = ["sh", "-c", f'ulimit -v {(LEAK_BYTES + (8 << 30)) >> 10}; exec "$@"', "run", *command]
+    environment = os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+    how: dict[str, Any] = {"cwd": home, "env": environment, "capture_output": True, "text": True}
+    try:
+        done = subprocess.run(command, check=False, timeout=SECONDS, **how)
+    except subprocess.TimeoutExpired:
+        return 1000, ""
+    return done.returncode, done.stdout + done.stderr
+
+
+CASES = list(itertools.product(METHODS, KINDS, (0, 1)))
+random.Random(SEED).shuffle(CASES)
+
+
+@pytest.mark.parametrize(("method", "kind", "processes"), CASES[: TIMES - 1])
+def test_commands_end_in_time_and_say_why(tmp_path: Path, method: str, kind: str, processes: int) -> None:
+    """Of a long test. Exit code 0 goes with a finished run only."""
+    (tmp_path / "spec.yaml").write_text(json.dumps(spec(f"{method}:{kind}", processes)))
+    checked, said = call(tmp_path, "check", "spec.yaml", limited=kind == "leak")
+    assert checked in (0, 2, 3, 130, 1000, -9), said
+    assert said or checked not in (2, 3)
+    code, said = call(tmp_path, "run", "spec.yaml", "--time-limit", "3s", "--quiet", limited=kind == "leak")
+    assert code != 1000, "it does not end"
+    states = [RunFolder.open(path.parent).state().state for path in tmp_path.glob("runs/*/run.json")]
+    assert (code == 0) == (states == ["finished"])
+    assert said.strip() or not 0 < code < 124
 
 
 @pytest.mark.parametrize(

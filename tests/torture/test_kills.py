@@ -1,17 +1,26 @@
-"""What is killed: a run again and again, which then ends as if it had not been; its workers, which are replaced."""
+"""What is killed: a run again and again, which then ends as if it had not been; its workers, which are replaced.
 
-from __future__ import annotations
+Kills fall into training, testing, checkpoints and index writes alike: some time after a test. A third of them wait for
+the next checkpoint to be amid its writing. Half of them hit a worker of the run, which goes on.
+"""
 
+import json
 import multiprocessing
 import os
 import random
 import signal
+import subprocess
 import threading
+import time
+from collections import Counter
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from kill_resume import TOY, differences_of, torture
+from support.states import run_differences
+from support.torture import SEED, TIMES, karolos
+from support.toy_runs import run_of, toy
 
 from karolos.experiment import events
 from karolos.experiment.events import RunAdvanced, RunWarned
@@ -19,12 +28,110 @@ from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.store import Store
 
+PATIENCE = 15.0
+"""Seconds that a killed run's workers have to notice and to end."""
+AMID_CHECKPOINT = 1 / 3
+"""Share of the kills that hit the writing of a checkpoint."""
+TESTS = 8 if TIMES == 1 else 32
+TORTURED = toy(
+    agent={"precision": "float32"},
+    buffer={"name": "priority", "hindsight": {"strategy": "future"}},
+    orchestrator={"processes": 1 if TIMES == 1 else 2, "failures": 1000},
+    training={"steps": 50 * TESTS, "replay_ratio": 8},
+    testing={"interval": 50, "episodes": 4},
+)
+
+
+def over(process: subprocess.Popen[bytes], home: Path, tests: int, seconds: float, *, amid_checkpoint: bool) -> bool:
+    """Wait; returns whether the process has ended.
+
+    Args:
+        process: executes a run in `home`.
+        home: its folder of runs.
+        tests: until the run has so many.
+        seconds: to wait after that.
+        amid_checkpoint: wait further, until a checkpoint is being written.
+    """
+    deadline: float | None = None
+    while process.poll() is None:
+        if deadline is None:
+            deadline = time.monotonic() + seconds if count_tests(home) >= tests else None
+            time.sleep(0.01)
+        elif time.monotonic() > deadline and (not amid_checkpoint or any(home.glob("*/checkpoints/.*.new"))):
+            return False
+        time.sleep(0.001)
+    return True
+
+
+def count_tests(home: Path) -> int:
+    return sum(path.read_text().count("\n") for path in home.glob("*/tests.jsonl"))
+
+
+def kill_worker(process: subprocess.Popen[bytes], draw: random.Random) -> bool:
+    """Kill one of the run's workers, which are grandchildren of its process; False if there is none now."""
+    workers = [pid for pid, (_, parent) in members(process.pid).items() if process.pid not in (pid, parent)]
+    if not workers or process.poll() is not None:
+        return False
+    with suppress(ProcessLookupError):
+        os.kill(draw.choice(workers), signal.SIGKILL)
+        return True
+    return False
+
+
+def await_the_end_of_the_others(session: int) -> None:
+    """Raise AssertionError when processes of the session outlive its first for long; only Linux can tell."""
+    deadline = time.monotonic() + PATIENCE
+    while left := members(session):
+        if time.monotonic() > deadline:
+            raise AssertionError(f"orphans after a kill: {left}")
+        time.sleep(0.05)
+
+
+def members(session: int) -> dict[int, tuple[str, int]]:
+    """The living processes of a session, with their command lines and parents."""
+    found = {}
+    for path in Path("/proc").glob("[0-9]*"):
+        with suppress(OSError):  # it has ended meanwhile
+            state, parent, _, its_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
+            if int(its_session) == session and state != "Z":
+                found[int(path.name)] = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode(), int(parent)
+    return found
+
+
+def run_killed(home: Path, spec: Path, kills: int, draw: random.Random, hit: Counter[str]) -> RunFolder:
+    """A run that is killed, and resumed until it is finished. `hit` counts the kills, of runs and of workers."""
+    while True:
+        folders = [path.parent for path in home.glob("*/run.json")]
+        command = ("resume", str(folders[0])) if folders else ("run", str(spec))
+        # in a session of its own, so that a kill reaches the parent alone and orphans can be seen
+        process = karolos(*command, "--runs", str(home), "--quiet", stderr=subprocess.PIPE, start_new_session=True)
+        while True:
+            goes_on, tests = hit.total() < kills, count_tests(home)
+            until = draw.randint(tests, (tests + TESTS) // 2) if goes_on else 10**9
+            amid_checkpoint = goes_on and draw.random() < AMID_CHECKPOINT
+            if over(process, home, until, draw.uniform(0, 0.2), amid_checkpoint=amid_checkpoint):
+                assert process.stderr is not None
+                assert process.returncode == 0, process.stderr.read().decode()
+                return RunFolder.open(next(home.glob("*/run.json")).parent)
+            if hit["workers"] <= hit["runs"]:
+                hit["workers"] += kill_worker(process, draw)
+                continue
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait()
+            await_the_end_of_the_others(process.pid)
+            hit["runs"] += 1
+            break
+
 
 def test_a_run_killed_at_random_moments_ends_like_one_that_nobody_disturbed(tmp_path: Path) -> None:
-    """The short version of kill_resume.py; also that no process outlives the killed one for long."""
-    spec = tmp_path / "torture.yaml"
-    spec.write_text(TOY.replace("steps: 1600", "steps: 400").replace("processes: 2", "processes: 1"))
-    assert torture(spec, tmp_path / "runs", kills=2, draw=random.Random(1)) >= 1
+    """Nothing is lost, neither a test nor a bit; and no process outlives the killed one for long."""
+    (spec := tmp_path / "torture.yaml").write_text(json.dumps(TORTURED))
+    reference, draw, hit, runs = run_of(TORTURED, tmp_path / "whole"), random.Random(SEED), Counter[str](), 0
+    while hit.total() < 2 * TIMES:
+        runs, home = runs + 1, tmp_path / str(runs)
+        folder = run_killed(home, spec, 2 * TIMES, draw, hit)
+        print(f"{dict(hit)} killed in {runs} runs, {folder.state().attempt} attempts", flush=True)
+        assert run_differences(folder, reference, Store.default_url(home)) == []
 
 
 LEARNS: dict[str, Any] = {
@@ -79,7 +186,7 @@ def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_und
     assert killer.killed >= 3
     assert killer.warnings
     folder, reference = RunFolder.open(disturbed.folder), RunFolder.open(undisturbed.folder)
-    assert differences_of(folder, reference, Store.default_url(tmp_path / "killed")) == []
+    assert run_differences(folder, reference, Store.default_url(tmp_path / "killed")) == []
 
 
 @pytest.mark.usefixtures("heard_always")
@@ -100,15 +207,11 @@ def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbe
 
 
 def test_the_comparison_sees_that_runs_of_two_seeds_differ(tmp_path: Path) -> None:
-    short = LEARNS | {"training": LEARNS["training"] | {"steps": 200}, "testing": {"interval": 100, "episodes": 2}}
-    folders = []
-    for seed in (0, 1):
-        (run,) = Experiment(short | {"seeds": [seed]}).run(tmp_path / str(seed)).runs
-        folders.append(RunFolder.open(run.folder))
-    found = differences_of(folders[0], folders[1], Store.default_url(tmp_path / "0"))
+    one, other = (run_of(toy(seeds=[seed]), tmp_path) for seed in (0, 1))
+    found = run_differences(one, other, Store.default_url(tmp_path))
     assert any(path.startswith("last.agent.critic") for path in found)
     assert "episodes.jsonl" in found
-    assert differences_of(folders[0], folders[0], Store.default_url(tmp_path / "0")) == []
+    assert run_differences(one, one, Store.default_url(tmp_path)) == []
 
 
 def shared_memory() -> set[str]:

@@ -1,8 +1,7 @@
 """Parts that do not go together are refused before anything runs, at file:line:column; and layouts change no result."""
 
-from __future__ import annotations
-
 import re
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -171,6 +170,7 @@ LEARNERS: dict[str, dict[str, Any]] = {
 }
 
 
+@cache
 def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int = 60) -> dict[str, Any]:
     """All states after some rounds of four environments; those after `saved_after` go to new parts meanwhile."""
     layout = {"processes": processes, "environments": 4 // max(processes, 1)}

@@ -1,7 +1,5 @@
 """Demonstrations: the collected episodes, their reproducibility, and where they are refused."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

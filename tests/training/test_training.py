@@ -1,35 +1,23 @@
-"""The training loop: what it hands to the buffer, when it learns, and that counts alone decide."""
-
-from __future__ import annotations
+"""The training loop: what it hands to the buffer, when it learns, that counts alone decide, and that it goes on."""
 
 import itertools
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.training_parts import Counter, train, updates_per_round
+from support.training_parts import Counter, OnPolicyRecorder, Recorder, train, updates_per_round
 
 from karolos.core import random_actions
 from karolos.core.seeding import SeedTree
+from karolos.errors import UsageError
+from karolos.orchestrator.local import Local
+from karolos.training.training import Training
 
 
 def test_steps_are_counted_over_all_environments_and_rounds_stop_when_they_are_taken():
     progress, _, training = train(steps=20)
     assert [round.steps for round in progress] == [3, 6, 9, 12, 15, 18, 21]
     assert training.steps == 21
-
-
-def test_transitions_continue_an_episode_until_it_ends_and_never_join_two():
-    _, recorder, _ = train()
-    for environment in range(3):
-        steps = [[field[environment] for field in added] for added in recorder.added]
-        for (_, obs, _, _, _, _, after, reached, terminated, truncated), following in itertools.pairwise(steps):
-            assert after[0] == obs[0], "a transition stays in its episode"
-            assert after[1] == obs[1] + 1 == reached[0]
-            if terminated or truncated:
-                assert following[1][1] == 0, "a new episode begins at its reset"
-                assert following[1][0] != obs[0]
-            else:
-                np.testing.assert_array_equal(following[1], after)
 
 
 def test_the_last_observation_of_an_episode_reaches_the_buffer():
@@ -136,3 +124,75 @@ def test_seed_tree_is_addressed_not_spawned(interesting):
     tree.child("something", "else").generator().random()
     assert tree.child(*interesting).integer() == before
     assert SeedTree(4).child(*interesting).integer() != before
+
+
+def test_an_agent_hears_of_every_episode_that_begins():
+    progress, recorder, _ = train()
+    assert recorder.begun[0] == (0, [0, 1, 2])
+    heard = [(place, i) for place, ids in recorder.begun[1:] for i in ids]
+    assert heard == [(place + 1, r.environment) for place, round in enumerate(progress) for r in round.finished]
+
+
+def test_an_on_policy_agent_learns_at_the_end_of_the_round_that_completes_its_rollout():
+    progress, recorder, training = train(recorder=OnPolicyRecorder(), steps=30)
+    assert updates_per_round(progress) == [0, 0, 5, 0, 0, 5, 0, 0, 5, 0]
+    assert recorder.sampled == [(9, 3), (9, 6), (9, 9)]
+    assert [float(added.action[0, 0]) for added in recorder.added] == pytest.approx(
+        [3.0] * 3 + [3.001] * 3 + [3.002] * 3 + [3.003], abs=1e-6
+    )
+    assert training.updates == 15
+    assert not any(round.warming_up for round in progress), "it never acts at random"
+
+
+def test_actions_are_clipped_for_the_environment_and_stored_as_they_were_given():
+    Counter.actions.clear()
+    _, recorder, _ = train(recorder=OnPolicyRecorder(), steps=9)
+    assert {tuple(action) for action in Counter.actions} == {(1.0, -1.0)}
+    assert all((np.abs(added.action) > 2.9).all() for added in recorder.added)
+
+
+@pytest.mark.parametrize("kind", [Recorder, OnPolicyRecorder])
+@pytest.mark.parametrize("at", [1, 7, 20])
+def test_training_goes_on_bit_for_bit_from_a_saved_state(kind, at):
+    amounts = SimpleNamespace(steps=100, batch_size=4, replay_ratio=2.0, warmup_episodes=4)
+    settings = Local.Settings(processes=0, environments=3)
+
+    def rounds(training, recorder):
+        for round in training.rounds():
+            yield round.steps, round.episodes, round.updates, round.warming_up, round.finished, recorder.added[-1]
+
+    whole = kind()
+    with Local(settings, Counter) as local:
+        expected = list(rounds(Training(local, whole, whole, amounts, SeedTree(7)), whole))
+    first = kind()
+    with Local(settings, Counter) as local:
+        training = Training(local, first, first, amounts, SeedTree(7))
+        found = list(itertools.islice(rounds(training, first), at))
+        state = training.state()
+    first.begun.clear()
+    with Local(settings, Counter) as local:
+        again = Training(local, first, first, amounts, SeedTree(7))
+        again.load_state(state)
+        found += list(rounds(again, first))
+    assert first.begun[0][0] > at, "an episode that goes on does not begin"
+    assert len(found) == len(expected)
+    for ours, theirs in zip(found, expected, strict=True):
+        assert ours[:-1] == theirs[:-1]
+        for one, other in zip(ours[-1], theirs[-1], strict=True):
+            np.testing.assert_array_equal(one, other)
+
+
+def test_the_state_of_another_number_of_environments_is_refused():
+    recorder = Recorder()
+    amounts = SimpleNamespace(steps=9, batch_size=4, replay_ratio=2.0, warmup_episodes=0)
+    states = []
+    for environments in (3, 2):
+        settings = Local.Settings(processes=0, environments=environments)
+        with Local(settings, Counter) as local:
+            training = Training(local, recorder, recorder, amounts, SeedTree(7))
+            if states:
+                with pytest.raises(UsageError, match="3 environments with 2 action columns, and this one 2 with 2"):
+                    training.load_state(states[0])
+            else:
+                next(training.rounds())
+                states.append(training.state())

@@ -1,7 +1,5 @@
 """The training loop on whatever is ready: nothing lost, nothing joined, the replay ratio kept, how old actions are."""
 
-from __future__ import annotations
-
 import itertools
 from functools import partial
 from types import SimpleNamespace
@@ -75,17 +73,17 @@ def rows_of(recorder, environment):
             yield [field[row] for field in added]
 
 
-@pytest.mark.parametrize("at_least", [1, 3])
+@pytest.mark.parametrize("at_least", [None, 1, 3])
 def test_transitions_continue_an_episode_until_it_ends_and_never_join_two(at_least):
-    _, recorder, training, _ = train_ragged(at_least)
+    _, recorder, training = train(environments=4) if at_least is None else train_ragged(at_least)[:3]
     for environment in range(4):
         rows = list(rows_of(recorder, environment))
         assert len(rows) > 10
         for (_, obs, _, _, _, _, after, reached, terminated, truncated), following in itertools.pairwise(rows):
-            assert after[0] == obs[0]
+            assert after[0] == obs[0], "a transition stays in its episode"
             assert after[1] == obs[1] + 1 == reached[0]
             if terminated or truncated:
-                assert following[1][1] == 0
+                assert following[1][1] == 0, "a new episode begins at its reset"
                 assert following[1][0] != obs[0]
             else:
                 np.testing.assert_array_equal(following[1], after)
@@ -158,12 +156,18 @@ def test_stored_actions_are_those_the_environments_took():
     assert set(stored) <= set(taken)
 
 
-def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch):
+@pytest.mark.parametrize("lockstep", [True, False])
+def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch, lockstep):
     monkeypatch.setattr(Counter, "fails", True)
-    progress, recorder, training, _ = train_ragged(steps=300, failures=50)
-    failed = [i for round in progress for f in round.failures for i in f.environment.tolist()]
+    amounts = {"environments": 4, "steps": 300, "failures": 50}
+    progress, recorder, training = train(**amounts) if lockstep else train_ragged(**amounts)[:3]
+    failures = [failure for round in progress for failure in round.failures]
+    failed = [i for failure in failures for i in failure.environment.tolist()]
     assert len(failed) > 3
+    assert {type(failure.error).__name__ for failure in failures} == {"WorkerError"}
     assert sorted(i for _, ids in recorder.cuts for i in ids) == sorted(failed)
+    records = [record for round in progress for record in round.finished]
+    assert not any(record.seed % 11 == 0 or record.seed % 5 == 0 for record in records)
     assert sum(added.environment.size for added in recorder.added) == training.steps
     for environment in range(4):
         for one, following in itertools.pairwise(rows_of(recorder, environment)):

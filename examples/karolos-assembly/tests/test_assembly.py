@@ -1,7 +1,5 @@
 """What the example promises: files as the script writes them, a plug that fits one way round, and that arms seat it."""
 
-from __future__ import annotations
-
 from math import pi
 
 import pytest

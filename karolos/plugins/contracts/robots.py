@@ -104,10 +104,14 @@ def the_tool_reaches_every_corner_of_the_workspace(environment: RobotTask) -> No
     slower = max(1.0, ArmSettings.model_fields["tool_step"].default / robot.tool_step)  # so are slow joints
     for x, y, z in product(*zip(box.low, box.centre, box.high, strict=True)):
         environment.reset(0)
+        near = 0
         for _ in range(round(steps * slower)):
             environment.step(robot.towards((x, y, z), 0.0))
-        distance = float(np.linalg.norm(np.subtract(robot.tool_position, (x, y, z))))
-        demand(distance < 0.005, f"the tool stays {1000 * distance:.1f} mm away from {x:.3f} {y:.3f} {z:.3f}")
+            distance = float(np.linalg.norm(np.subtract(robot.tool_position, (x, y, z))))
+            near = near + 1 if distance < 0.005 else 0
+            if near == 5:  # it stays there
+                break
+        demand(near, f"the tool stays {1000 * distance:.1f} mm away from {x:.3f} {y:.3f} {z:.3f}")
 
 
 @ANY_ROBOT

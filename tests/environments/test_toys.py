@@ -1,6 +1,4 @@
-"""Bits that are flipped until they match."""
-
-from __future__ import annotations
+"""The environments on which fast tests stand: a point that moves, and bits that are flipped until they match."""
 
 import numpy as np
 import pytest
@@ -9,6 +7,7 @@ from hypothesis import strategies as st
 
 from karolos.core import Step
 from karolos.environments.bit_flip import BitFlip
+from karolos.environments.toy import Toy
 
 seeds = st.integers(0, 2**63 - 1)
 
@@ -56,15 +55,6 @@ def test_time_is_up_after_as_many_steps_as_there_are_bits(bits: int, seed: int) 
         environment.step(np.array(0))
 
 
-def test_an_action_flips_its_bit_and_no_other_and_leaves_earlier_steps_as_they_were() -> None:
-    environment = made()
-    first = environment.reset(1)
-    kept = first.observation.copy()
-    second = environment.step(np.array(4))
-    assert np.flatnonzero(first.observation != second.observation).tolist() == [4]
-    np.testing.assert_array_equal(first.observation, kept)
-
-
 def test_bits_and_goals_are_drawn_evenly_and_never_equal() -> None:
     environment = made(2)
     starts = [environment.reset(seed) for seed in range(1200)]
@@ -76,17 +66,18 @@ def test_bits_and_goals_are_drawn_evenly_and_never_equal() -> None:
     assert all(60 < count < 140 for count in pairs.values())  # 100 expected, standard deviation 10
 
 
-def test_goal_rule_works_over_leading_axes() -> None:
-    rule = made(3).signature.goal_rule
+@pytest.mark.parametrize("environment", [made(2), Toy(Toy.Settings(threshold=0.5))])
+def test_goal_rule_works_over_leading_axes(environment: BitFlip | Toy) -> None:
+    rule = environment.signature.goal_rule
     assert rule is not None
-    achieved, desired = np.zeros((2, 4, 3), np.float32), np.zeros((2, 4, 3), np.float32)
-    desired[1, 2, 1] = 1
-    expected = np.ones((2, 4), np.bool_)
-    expected[1, 2] = False
-    np.testing.assert_array_equal(rule.success(achieved, desired), expected)
-    np.testing.assert_array_equal(rule.terminated(achieved, desired), expected)
-    np.testing.assert_array_equal(rule.reward(achieved, desired), np.where(expected, 0, -1))
+    achieved, desired = np.zeros((2, 3, 2), np.float32), np.zeros((2, 3, 2), np.float32)
+    desired[1, 2] = 1
+    reached = np.array([[True] * 3, [True, True, False]])
+    np.testing.assert_array_equal(rule.success(achieved, desired), reached)
+    np.testing.assert_array_equal(rule.terminated(achieved, desired), reached & isinstance(environment, BitFlip))
+    np.testing.assert_array_equal(rule.reward(achieved, desired), np.where(reached, 0, -1))
     assert rule.reward(achieved, desired).dtype == np.float32
+    assert rule.success(np.zeros(2), np.full(2, 0.3)) == isinstance(environment, Toy), "near the point, not the bits"
 
 
 @pytest.mark.parametrize("action", [6, -1, 0.5, [0, 1]])
@@ -105,3 +96,34 @@ def test_picture_shows_which_bits_are_wrong() -> None:
     assert picture.dtype == np.uint8
     red = [bit for bit in range(6) if picture[10, 20 * bit + 10, 0] > picture[10, 20 * bit + 10, 2]]
     assert red == wrong(step)
+
+
+def test_an_action_moves_the_point_by_speed_and_not_out_of_the_cube():
+    toy = Toy(Toy.Settings(speed=0.25))
+    start = toy.reset(0).observation
+    moved = toy.step(np.array([5, -0.5], np.float32)).observation
+    np.testing.assert_allclose(moved, np.clip(start + np.array([0.25, -0.125]), -1, 1), rtol=1e-6)
+    for _ in range(10):
+        moved = toy.step(np.ones(2, np.float32)).observation
+    assert moved.tolist() == [1, 1]
+
+
+def test_no_step_without_a_running_episode():
+    toy = Toy(Toy.Settings(max_steps=3))
+    with pytest.raises(RuntimeError, match="reset"):
+        toy.step(np.zeros(2, np.float32))
+    toy.reset(0)
+    assert [toy.step(np.zeros(2, np.float32)).truncated for _ in range(3)] == [False, False, True]
+    with pytest.raises(RuntimeError, match="reset"):
+        toy.step(np.zeros(2, np.float32))
+
+
+@pytest.mark.parametrize("dimensions", [1, 2, 3])
+def test_picture_shows_goal_and_point(dimensions):
+    toy = Toy(Toy.Settings(dimensions=dimensions))
+    toy.reset(0)
+    picture = toy.render(64, 48)
+    assert picture.shape == (48, 64, 3)
+    assert picture.dtype == np.uint8
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
+    assert colours == {(255, 255, 255), (80, 170, 90), (40, 80, 200)}
