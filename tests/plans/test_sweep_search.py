@@ -231,7 +231,7 @@ def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_mar
     space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
     spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
     outcome, _ = searched(spec, tmp_path, listener=listen)
-    assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "running"]]
+    assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "complete"]]
     found = find_sweep(tmp_path, outcome.sweep)
     assert (found.trials, found.final, found.state()) == (outcome.trials, outcome.final, "finished")
     with Store(Store.default_url(tmp_path)) as store:
