@@ -24,6 +24,7 @@ from karolos.comparison import Contender, Estimate, compare, gather
 from karolos.errors import KarolosError
 from karolos.export.export import export_policy
 from karolos.files import write_json
+from karolos.plans.matrix import Matrix
 from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
 from karolos.report.comparison_tables import estimate
@@ -31,7 +32,6 @@ from karolos.report.tables import count, duration
 from karolos.specification import load_spec, spec_from_dict
 from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
-from karolos.plans.matrix import Matrix
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "runs" / "reference"
