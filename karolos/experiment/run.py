@@ -78,11 +78,11 @@ class Run:
         try:
             self._writer.start(self.snapshot, learner(self.spec), exact=self.spec.training.at_least is None)
             ending = self._train()
-        except (KeyboardInterrupt, StopRequestedError) as error:  # checkpoints are as before
-            ending = Ending("stopped", reason=f"{self.stop.reason or type(error).__name__}, at once")
-            if isinstance(error, KeyboardInterrupt):
-                self._end(ending)
-                raise
+        except KeyboardInterrupt:
+            self._end(Ending("stopped", reason=f"{self.stop.reason or 'KeyboardInterrupt'}, at once"))
+            raise
+        except StopRequestedError:  # something was broken off; checkpoints are as before
+            ending = Ending("stopped", reason=self.stop.reason)
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
