@@ -14,6 +14,7 @@ from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..records import RunFolder
 from ..registry import closest
+from ..robots.settings import ArmSettings
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import FILES, RANDOMIZATION
 from ..training.assembly import located
@@ -40,8 +41,8 @@ class Player:
 def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
     """The spec with overrides of its environment. Its `randomization` is what a test draws.
 
-    Where the run's engine is not installed, another one takes its place. Where the joints of an arm are slower than
-    `robot.tool_step`, episodes are longer by as much, unless an override says how long; a warning says so.
+    Where the run's engine is not installed, another one takes its place. Where an arm has slow joints
+    (`ArmModel.tool_step`), episodes are longer by as much, unless an override says how long; a warning says so.
 
     An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
     `randomize` these are the only distributions.
@@ -95,13 +96,17 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
 
 
 def _with_time(spec: Spec, environment: Environment) -> Spec:
-    """The spec, with longer episodes where the arm's joints are slower than the tool shall be."""
-    if not isinstance(environment, RobotTask) or spec.task is None or spec.robot is None:
+    """The spec, with longer episodes where the arm's joints are slower than those of the built-in arms.
+
+    Actions are worth as much as in training. (With smaller ones a policy is slower yet: docs/what_was_tried.md.)
+    """
+    if not isinstance(environment, RobotTask) or spec.task is None:
         return spec
-    asked = getattr(spec.robot.settings, "tool_step", None) or environment.robot.tool_step
-    if asked <= environment.robot.tool_step:
+    own = getattr(getattr(environment.robot, "model", None), "tool_step", None)
+    asked = min(environment.robot.tool_step, ArmSettings.model_fields["tool_step"].default)
+    if own is None or asked <= own:
         return spec
-    usual, slower = environment.signature.max_steps, asked / environment.robot.tool_step
+    usual, slower = environment.signature.max_steps, asked / own
     steps = ceil(usual * slower)
     warnings.warn(f"the arm is {slower:.1f} times slower: {steps} control steps instead of {usual}", stacklevel=3)
     settings = spec.task.settings.model_copy(update={"max_steps": steps})

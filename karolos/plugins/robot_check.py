@@ -37,25 +37,26 @@ def check_file(
     repair = Repair(path, mass)
     for finding in repair.findings:
         yield {"kind": "wrong", **asdict(finding)}
-    if repaired is not None:
-        repair.write(repaired)
     if repair.robot is None:
         return
     with tempfile.TemporaryDirectory() as folder:
-        used = path
-        if repair.findings:
-            used = repaired or Path(folder, path.name).with_suffix(".urdf")
+        used = repaired or Path(folder, path.name).with_suffix(".urdf")
+        if repaired is not None or repair.findings:
             repair.write(used)
+        else:
+            used = path
         settings = {"file": str(used), **known}
         try:
-            notes = proposal_of(FromFile.Settings.model_validate(settings)).notes
+            found = proposal_of(FromFile.Settings.model_validate(settings))
         except KarolosError as error:
             yield {"kind": "wrong", **asdict(Finding(str(path), " ".join(str(error).splitlines())))}
             return
-        for note in notes:
+        for note in found.notes:
             doubted = note.startswith("doubted: ")
             yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
-        for case, problem in results(cases(candidate("robots", "urdf", **settings), alone=True)) if promises else ():
+        slow = {"tool_step": found.model.tool_step} if found.model.tool_step else {}
+        promised = cases(candidate("robots", "urdf", **settings, **slow), alone=True) if promises else ()
+        for case, problem in results(promised):
             yield {
                 "kind": "promise",
                 "what": case.text,

@@ -159,7 +159,7 @@ class Arm:
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
         self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
-        self.tool_step = min(self.settings.tool_step, self.model.tool_step or inf)
+        self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
         self.engine_needs: dict[str, Ability] = {}
         if mode == "impedance":

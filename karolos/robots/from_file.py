@@ -30,8 +30,7 @@ class FromFile(Arm):
     """An arm from a URDF. What the file does not say is assumed; `karolos robot check FILE` tells it.
 
     The file and its meshes are a part of the experiment, by their content. A gripper takes the place of the file's own
-    hand. What is assumed is computed once, and kept in the user's cache folder. The tool of an arm with slow joints
-    moves by what they allow, whatever `tool_step` is larger.
+    hand. What is assumed is computed once, and kept in the user's cache folder.
     """
 
     class Settings(ArmSettings):

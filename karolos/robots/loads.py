@@ -12,9 +12,9 @@ from ..simulation import urdf
 from ..simulation.interface import GRAVITY
 from .ramps import ACCELERATION_TIME
 
-SHARE = 0.8
+SHARE = 0.95
 """Of its largest torque, what gravity and accelerations may take of a motor. The rest is for Coriolis forces."""
-LEAST = 0.1
+LEAST = 0.25
 """Fraction of the usual acceleration that each joint keeps, whatever its torque."""
 ROUNDS, SMALLER = 200, 0.97
 """How often, and by what factor, accelerations are made smaller that together need too much torque."""

@@ -71,7 +71,7 @@ class ArmModel:
     tool_speed: float | None = None
     """Largest speed of the tool centre point in m/s as its maker publishes it; None where no maker does."""
     tool_step: float | None = None
-    """Largest change of the tool position per control step that slow joints allow, in m; None: they allow the usual."""
+    """Change of the tool position per control step that slow joints allow in every direction, in m; None: the usual."""
     self_collisions: tuple[tuple[str, str], ...] = ()
     """Pairs of links that collide; all other pairs of the arm's links do not. `FINGERS` stands for each finger."""
     locked: Mapping[str, float] = field(default_factory=dict)

@@ -63,6 +63,8 @@ SHOULDERS = (0.3, 0.6)
 """Heights of the second joint above a table, by the arm's length: of one that stands, and of one that hangs."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
+USUAL_STEP: float = ArmSettings.model_fields["tool_step"].default
+"""m"""
 HIDDEN_DEPTH = 0.01
 """Length in m by which shapes may stick out beyond a tool frame or a flange that is named in the file."""
 FLOOR_CLEARANCE, LOWEST = 0.005, 0.02
@@ -111,6 +113,7 @@ class Proposal:
             "assumed": pformat(self.notes, width=112)[1:-1].replace("\n ", "\n    "),
             "imports": ", ".join(name for name in ("Box", "Fingers", "Gripper") if f"{name}(" in lines),
             "model_imports": ", ".join(["ArmModel", *["Flange"] * ("Flange(" in lines)]),
+            "tool_step": repr(model.tool_step or USUAL_STEP),
             "model": textwrap.indent(lines, " " * 8),
             "threshold": "0.05" if edges.min() > 0.2 else "0.02",
         }
@@ -177,11 +180,11 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         for joint, share in zip(joints, loads.shares(place.corners), strict=True)
         if share > DOUBTED_WEIGHT
     ]
-    usual, heavy = poses.usual_step, ", ".join(found.corrected)
+    heavy = ", ".join(found.corrected)
     names = [*(joint.child for joint in joints), base]
     pairs = tuple((names[a], end) for a, b in site.pairs for end in [names[b], *[FINGERS] * (b == len(joints) - 1)])
     pairs = tuple(pair for pair in pairs if FINGERS not in pair or whole.fingers is not None)
-    slow = place.tool_step < usual
+    slow = place.tool_step < USUAL_STEP
     standing = "on the floor z = 0"
     if site.floor:
         standing = f"{abs(site.floor):g} m {'below' if site.floor > 0 else 'above'} the table that it works on"
@@ -199,7 +202,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         f"home: tool at {_metres(place.tool)} m, pointing down; by inverse kinematics, far from joint limits": True,
         f"workspace: {_metres(low)} to {_metres(high)} m; actions lead the tool through it, pointing down": True,
         f"dexterous: {where}": True,
-        f"tool_step: {place.tool_step} m per control step instead of {usual}: the joints are slower": slow,
+        f"tool_step: {place.tool_step} m per control step instead of {USUAL_STEP}: the joints are slower": slow,
         f"accelerations: {slower} rad/s2, which the torques can give to all joints at once": slower,
         f"collision: the convex hulls of {filled}": filled,
         f"self-collisions: {len(pairs)} pairs of links, which are apart in the whole workspace": True,
@@ -280,8 +283,7 @@ class _Site:
         shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
         body = Body(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
         self.base = spanning(points_of(robot, joints[0].parent))
-        usual: float = ArmSettings.model_fields["tool_step"].default
-        self._made = joints, tool, body, usual
+        self._made = joints, tool, body, USUAL_STEP
         self.poses, self.floor = Poses(*self._made), 0.0
 
     @cached_property

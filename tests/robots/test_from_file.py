@@ -128,14 +128,14 @@ def test_a_run_reads_its_own_copy_of_the_file(arm: Path, tmp_path: Path) -> None
 
 def test_episodes_of_a_slow_arm_are_longer_unless_somebody_says_how_long(arm: Path) -> None:
     arm.write_text(re.sub('velocity="2.5"', 'velocity="0.5"', arm.read_text()))
-    saved = load_spec("ur5_reach", ["robot.tool_step=0.034"])
+    saved = load_spec("ur5_reach")
     trained = signature_of(saved)
     overrides = ["robot.name=urdf", f"robot.file={arm}"]
     with pytest.warns(UserWarning, match=r"times slower: \d+ control steps instead of 30"):
         spec = changed_spec(saved, overrides, trained=trained)
     slow = robot_of(file=str(arm)).model.tool_step
     assert slow is not None
-    assert signature_of(spec).max_steps == int(np.ceil(30 * 0.034 / slow))
+    assert signature_of(spec).max_steps == int(np.ceil(30 * 0.017 / slow))
     assert signature_of(changed_spec(saved, [*overrides, "task.max_steps=7"], trained=trained)).max_steps == 7
 
 
