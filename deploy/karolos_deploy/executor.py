@@ -56,6 +56,7 @@ class Executor:
         contract = bundle.contract
         if not contract["control"]["rate"] <= rate <= 1000:
             raise BundleError(f"a rate of {rate:g} Hz is not possible; it is {contract['control']['rate']:g} to 1000")
+        driver.rate = rate
         self.late: float = contract["limits"]["late"]
         self._log = Log(log, bundle, rate) if log is not None else None
 
@@ -80,7 +81,7 @@ class Executor:
         outcome = Outcome()
         collecting = gc.isenabled()
         try:
-            told = self.driver.begin(episode)
+            told = self.driver.begin(episode, move=move)
             wanted = self._goal(told if goal is None else goal)
             gc.disable()  # a collection takes longer than a cycle
             self._run(outcome, wanted, move, steps or self.bundle.contract["episode"]["steps"])
@@ -214,7 +215,7 @@ class Replay(Driver):
     def connect(self) -> dict[str, Any]:
         return {}
 
-    def begin(self, episode: int) -> list[float] | None:
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:  # noqa: ARG002
         self._row, self._end = self.episodes[episode]
         goal: list[float] = self.columns["goal"][self._row].tolist()
         return goal

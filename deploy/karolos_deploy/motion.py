@@ -20,7 +20,7 @@ BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range."""
 LAG, LAG_TIME = 0.02, 0.1
 """A path begins at most so many rad, and what its speed makes in so many s, away from where the joint was read."""
-JERK_TIME = 0.01
+JERK_TIME = 0.004
 """Seconds in which a joint reaches its largest acceleration."""
 CATCH_UP = 0.05
 """Time constant, in s, with which set points come back to the path that limits made them leave."""
@@ -68,7 +68,7 @@ class Motion:
             return np.zeros(6)
         shift, turn = self._place - at.position, turn_of(self._rotation @ at.rotation.T)
         return np.concatenate(
-            [_shortened(shift, self._spring["error_limit"]), _shortened(turn, self._spring["turn_error_limit"])]
+            [shortened(shift, self._spring["error_limit"]), shortened(turn, self._spring["turn_error_limit"])]
         )
 
     def plan(self, action: Array, positions: Array, at: Configuration, now: float) -> None:
@@ -90,7 +90,8 @@ class Motion:
         room = LAG + LAG_TIME * np.abs(self.velocities)
         self._anchor = np.clip(self.positions, positions - room, positions + room)
         self._from = self.velocities.copy()
-        self._to = self._ramp(positions, self._changes(values, positions, at))
+        there = self.chain.at(self._anchor)  # a reading is late, and what the robot was told is not
+        self._to = self._ramp(self._anchor, self._changes(values, self._anchor, there))
 
     def hold(self, now: float) -> None:
         """Brake to a standstill within a control step: no further action is coming."""
@@ -204,7 +205,7 @@ class Motion:
         self._place, self._rotation = at.position + error[:3], turned_by(error[3:]) @ at.rotation
 
 
-def _shortened(vector: Array, most: float) -> Array:
+def shortened(vector: Array, most: float) -> Array:
     """The vector, no longer than this."""
-    shortened: Array = vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
-    return shortened
+    found: Array = vector * min(1.0, most / max(float(np.linalg.norm(vector)), 1e-12))
+    return found

@@ -110,37 +110,9 @@ def _film(out: Path, environment: RobotTask, saved: SavedAgent) -> None:
 
 def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
     """The contract: everything that one has to know to run the policy. JSON-able, SI units, in the world's frame."""
-    arm, task = arm_of(environment), environment.task
-    settings = arm.settings
-    facts, signature, spec = arm.facts(), saved.signature, saved.spec.dump()
-    gripper = settings.gripper or arm.model.gripper
-    load_mass = getattr(task.settings, "peg_mass", 0.0) if task.uses_gripper == "closed" else 0.0
-    limits = (
-        settings.protective_stop
-        if isinstance(settings.protective_stop, ProtectiveStop)
-        else ProtectiveStop.model_validate({})
-    )
-    force = min(limits.force or inf, getattr(task.settings, "force_limit", inf))
-    control = {key: getattr(settings, key) for key in ("tool_step", "turn_step", "yaw", "yaw_step", "frame")}
-    turns = arm.orientations
-    control |= {
-        "mode": facts["control"],
-        "rate": facts["rate"],
-        "moved": facts["moved"],
-        "joint_step": list(arm.joint_step),
-        "home_yaw": arm.home_yaw,
-        "posture_gain": POSTURE_GAIN,
-        "steps_down": arm.model.steps_down,
-        "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
-    }
-    if "spring" in facts:
-        control["spring"] = {key: value for key, value in facts["spring"].items() if key != "stiffness_range"}
+    task, signature, spec = environment.task, saved.signature, saved.spec.dump()
     tested = saved.tested.row() if saved.tested is not None else None
-    transfers = [
-        {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}}
-        for one in folder.transfers().rows
-        if one.sha256 == saved.sha256
-    ]
+    drawn = spec.get("randomization", {})
     return {
         "format": FORMAT,
         "run": {
@@ -152,37 +124,61 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
             "steps": saved.steps,
             "karolos": __version__,
             "test": {key: tested[key] for key in _SUCCESS} if tested else None,
-            "tests_under_changes": transfers,
+            "tests_under_changes": [
+                {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}}
+                for one in folder.transfers().rows
+                if one.sha256 == saved.sha256
+            ],
         },
-        "robot": {
-            "name": spec["robot"]["name"],
-            "gripper": gripper,
-            "payload": (load("grippers", gripper).model.mass if gripper else 0.0) + load_mass,
+        **describe_robot(environment, spec["robot"]["name"]),
+        "observation": _observed(signature.observation.acting, task.settings),
+        "desired_goal": _fields(signature.desired_goal),
+        "episode": {"steps": task.max_steps, "task": spec["task"]},
+        "randomized": drawn,
+        "not_randomized": {
+            name: {"nominal": parameter.nominal, "unit": parameter.unit, "what": parameter.description}
+            for name, parameter in environment.declared.items()
+            if name not in drawn
         },
-        "kinematics": {
-            "base": list(arm.base),
-            "links": arm.chain.links.tolist(),
-            "damping": arm.chain.damping,
-        },
+    }
+
+
+def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
+    """The part of the contract that arm, gripper and control mode define."""
+    arm, task = arm_of(environment), environment.task
+    settings, facts = arm.settings, arm.facts()
+    gripper = settings.gripper or arm.model.gripper
+    held = getattr(task.settings, "peg_mass", 0.0) if task.uses_gripper == "closed" else 0.0
+    stop = settings.protective_stop
+    stop = stop if isinstance(stop, ProtectiveStop) else ProtectiveStop.model_validate({})
+    force = min(stop.force or inf, getattr(task.settings, "force_limit", inf))
+    turns, control = arm.orientations, {key: getattr(settings, key) for key in _STEPS}
+    control |= {
+        "mode": facts["control"],
+        "rate": facts["rate"],
+        "moved": facts["moved"],
+        "joint_step": list(arm.joint_step),
+        "home_yaw": arm.home_yaw,
+        "posture_gain": POSTURE_GAIN,
+        "steps_down": arm.model.steps_down,
+        "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
+        "spring": facts.get("spring"),
+    }
+    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + held
+    return {
+        "robot": {"name": name, "gripper": gripper, "payload": payload},
+        "kinematics": {"base": list(arm.base), "links": arm.chain.links.tolist(), "damping": arm.chain.damping},
         "joints": facts["joints"],
         "control": control,
         "workspace": [list(arm.workspace.low), list(arm.workspace.high)],
         "limits": {"force": force, "tool_speed": facts.get("tool_speed"), "late": 1 / facts["rate"]},
         "wrench": {"filter": settings.wrench_filter},
         "gripper": _gripper(arm) if facts.get("gripper") or task.uses_gripper == "closed" else None,
-        "observation": _observed(signature.observation.acting, task.settings),
-        "desired_goal": _fields(signature.desired_goal),
         "action": facts["action"],
-        "episode": {"steps": task.max_steps, "task": spec["task"]},
-        "randomized": {name: spec["randomization"][name] for name in spec.get("randomization", {})},
-        "not_randomized": {
-            name: {"nominal": parameter.nominal, "unit": parameter.unit, "what": parameter.description}
-            for name, parameter in environment.declared.items()
-            if name not in spec.get("randomization", {})
-        },
     }
 
 
+_STEPS = ("tool_step", "turn_step", "yaw", "yaw_step", "frame")
 _SUCCESS = ("episodes", "success_end", "success_end_interval")
 
 

@@ -12,7 +12,7 @@ import socket
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -67,6 +67,7 @@ class SimulatedRobot:
         self._spring = self.contract["control"]["mode"] == "impedance"
         self.time = 0.0
         """Of the robot's clock; it goes on between episodes."""
+        self.reset(0)
 
     def reset(self, episode: int) -> list[float]:
         """Begin a test episode; its goal."""
@@ -74,7 +75,8 @@ class SimulatedRobot:
         self._generator = np.random.default_rng(self._seeds[episode])
         self._offset = self._generator.uniform(-self._calibration, self._calibration, 3)
         self._point: Mapping[str, Any] | None = None
-        self._due, self.state = self.time, "running"
+        self._due = self.time
+        self.state = "running"
         self._told: deque[tuple[float, dict[str, Any]]] = deque([(-np.inf, self._reading())])
         goal: list[float] = self.task.goal.tolist()
         return goal
@@ -133,7 +135,8 @@ class SimulatedRobot:
         else:
             ahead = min(self.time + TICK - self._due, AHEAD)
             target = np.array(point["positions"]) + ahead * np.array(point["velocities"])
-            speed = np.clip((target - arm.joint_positions) / TICK, *np.outer((-1, 1), arm.limits.velocity))
+            speed = (target - arm.joint_positions) / max(point.get("lookahead", 0.0), TICK)
+            speed = np.clip(speed, *np.outer((-1, 1), arm.limits.velocity))
         arm.motors.drive(speed.tolist(), speed.tolist(), openings)
 
     def _reading(self) -> dict[str, Any]:
@@ -159,6 +162,14 @@ class SimulatedRobot:
         }
 
 
+def lines(rest: bytearray) -> Iterator[bytes]:
+    """The whole lines that a buffer begins with, which are removed from it."""
+    while (end := rest.find(b"\n")) >= 0:
+        line = bytes(rest[:end])
+        del rest[: end + 1]
+        yield line
+
+
 class Server:
     """Listens on sockets, answers, and lets a simulated robot go on in real time, in one thread.
 
@@ -175,10 +186,10 @@ class Server:
         self._late = 0.0
         self._running = True
         self._selector = selectors.DefaultSelector()
-        self.port = self.listen(port, self.answer_line)
+        self.port = self.listen(port, self.answer_lines)
 
-    def listen(self, port: int, answer: Callable[[socket.socket, bytes], bytes | None], greet: bytes = b"") -> int:
-        """Have `answer` get each line of each connection to a port; what it returns is sent back. The port."""
+    def listen(self, port: int, eat: Callable[[socket.socket, bytearray], None], greet: bytes = b"") -> int:
+        """Have `eat` take what it understands from the bytes that a connection to a port has sent. Returns the port."""
         waiting = socket.create_server((self.host, port))
 
         def accept(_: socket.socket) -> None:
@@ -190,18 +201,12 @@ class Server:
             def receive(connection: socket.socket) -> None:
                 try:
                     data = connection.recv(65536)
+                    rest.extend(data)
+                    eat(connection, rest)
                 except OSError:
                     data = b""
                 if not data:
                     self.forget(connection)
-                    return
-                rest.extend(data)
-                while (end := rest.find(b"\n")) >= 0:
-                    line = bytes(rest[:end])
-                    del rest[: end + 1]
-                    reply = answer(connection, line)
-                    if reply is not None:
-                        connection.sendall(reply)
 
             self.watch(connection, receive)
 
@@ -214,18 +219,20 @@ class Server:
 
     def forget(self, connection: socket.socket) -> None:
         """A connection has ended: the robot stops."""
-        self._selector.unregister(connection)
-        connection.close()
-        if self.robot is not None and hasattr(self.robot, "_told"):
+        if connection.fileno() >= 0:
+            self._selector.unregister(connection)
+            connection.close()
+        if self.robot is not None:
             self.robot.stop()
 
-    def answer_line(self, _: socket.socket, line: bytes) -> bytes:
-        """The answer to a request of the driver `simulation`."""
-        try:
-            told = self.answer(json.loads(line))
-        except KarolosError as error:
-            told = {"fault": "refused", "what": str(error)}
-        return json.dumps(told).encode() + b"\n"
+    def answer_lines(self, connection: socket.socket, rest: bytearray) -> None:
+        """Answer the requests of the driver `simulation`: a line of JSON each."""
+        for line in lines(rest):
+            try:
+                told = self.answer(json.loads(line))
+            except KarolosError as error:
+                told = {"fault": "refused", "what": str(error)}
+            connection.sendall(json.dumps(told).encode() + b"\n")
 
     def answer(self, request: dict[str, Any]) -> dict[str, Any]:
         """The answer to a request."""
@@ -233,6 +240,7 @@ class Server:
         if what == "connect":
             self.real = request.pop("clock") == "real"
             self.robot = SimulatedRobot(self.bundle, request)
+            self._late = time.perf_counter() - self.robot.time
             return dict(self.robot.contract["robot"]) | {"joints": self.robot.arm.chain.size}
         assert self.robot is not None
         robot = self.robot
@@ -254,7 +262,7 @@ class Server:
 
     def tick(self) -> None:
         """Let the world catch up with the clock."""
-        if self.robot is None or not self.real or not hasattr(self.robot, "_told"):
+        if self.robot is None or not self.real:
             return
         now = time.perf_counter() - self._late
         if now - self.robot.time > LONGEST_LAG:

@@ -29,6 +29,8 @@ class Driver:
     """Names of settings and their defaults."""
     modes: ClassVar[tuple[str, ...]] = ("joint", "cartesian", "pose", "impedance")
     """Control modes that the driver can follow."""
+    rate: float
+    """Set points per second; the executor sets it."""
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         self.bundle = bundle
@@ -59,8 +61,8 @@ class Driver:
         """Connect; what is known of the robot: `name`, `gripper`, `joints` (their number), `payload` in kg."""
         raise NotImplementedError
 
-    def begin(self, episode: int) -> list[float] | None:
-        """Make ready for an episode; its goal, if the driver knows one."""
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:
+        """Make ready for an episode, in which set points come if `move`; its goal, if the driver knows one."""
         raise NotImplementedError
 
     def read(self) -> Reading | None:

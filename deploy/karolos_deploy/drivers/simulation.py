@@ -10,6 +10,7 @@ import json
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Mapping
 from typing import Any, ClassVar
 
@@ -37,14 +38,16 @@ class Channel:
             raise Fault("no connection", f"nothing answers at {address}") from None
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._lines = self._socket.makefile("rb")
+        self._one = threading.Lock()  # an answer belongs to its request
 
     def ask(self, **request: Any) -> dict[str, Any]:
         """The answer to a request. Raises Fault if the other side is gone or says that it cannot."""
-        try:
-            self._socket.sendall(json.dumps(request).encode() + b"\n")
-            line = self._lines.readline()
-        except OSError:
-            line = b""
+        with self._one:
+            try:
+                self._socket.sendall(json.dumps(request).encode() + b"\n")
+                line = self._lines.readline()
+            except OSError:
+                line = b""
         try:
             answer: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"fault": "connection lost"}
         except ValueError:
@@ -113,7 +116,7 @@ class Simulation(Driver):
     def now(self) -> float:
         return self._latest["now"] if self._simulated and self._latest else super().now()
 
-    def begin(self, episode: int) -> list[float] | None:
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:  # noqa: ARG002  (it waits for ever)
         assert self._channel is not None
         self._latest, self._point = self._channel.ask(do="reset", episode=episode), None
         goal: list[float] = self._latest["goal"]
@@ -159,4 +162,7 @@ class Simulation(Driver):
         if self._process is not None:
             assert self._process.stdin is not None
             self._process.stdin.close()  # it ends with its stdin
-            self._process.wait(10)
+            try:
+                self._process.wait(10)
+            except subprocess.TimeoutExpired:
+                self._process.kill()

@@ -1,0 +1,220 @@
+"""The driver `ur`: arms of Universal Robots through ur-rtde. It was never tried on hardware.
+
+It was tried against `python -m karolos.export.fake_ur BUNDLE`. Joints follow `servoJ`. A spring at the tool is
+`forceMode` with the force that the spring would have. The controller stops by itself when no set point comes (its
+watchdog).
+"""
+
+from __future__ import annotations
+
+import socket
+import threading
+import time
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..bundle import Bundle, BundleError
+from ..faults import Fault
+from ..kinematics import Array, turn_of, turned_by
+from ..motion import shortened
+from ..readings import RUNNING, Reading, SetPoint
+from . import Driver
+from .simulation import Channel
+
+VARIABLES = [
+    "timestamp",
+    "actual_q",
+    "actual_qd",
+    "actual_TCP_force",
+    "actual_TCP_pose",
+    "safety_status_bits",
+    "runtime_state",
+    "payload",
+]
+STATES = {7: "emergency stop", 6: "emergency stop", 5: "emergency stop", 2: "protective stop", 4: "safeguard stop"}
+"""Bits of the safety status -> states."""
+PLAYING = 2
+"""Runtime state of a controller whose program runs."""
+DECELERATION = 5.0
+"""Of a controlled stop, rad/s2."""
+TCP_TOLERANCE = 0.01
+"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
+SENSOR_RATE = 60.0
+"""Questions per second to gripper and cameras."""
+
+
+class UR(Driver):
+    """Runs the policy on an arm of Universal Robots."""
+
+    settings: ClassVar[Mapping[str, str]] = {
+        "host": "",  # of the controller
+        "lookahead": "0.03",  # of servoJ, s
+        "gain": "500",  # of servoJ
+        "watchdog": "10",  # set points per second below which the controller stops
+        "gripper": "63352",  # port of the Robotiq URCap; empty: none
+        "perception": "",  # HOST:PORT of what tells the measured fields, see docs/deploy.md
+        "zero_wrench": "no",  # yes: zero the wrist's sensor at the beginning, with an empty gripper
+    }
+
+    def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
+        super().__init__(bundle, settings)
+        if not self.values["host"]:
+            raise BundleError("the address of the controller is missing: --set host=...")
+        self._impedance = bundle.contract["control"]["mode"] == "impedance"
+        self._receive: Any = None
+        self._control: Any = None
+        self._time = -1.0
+        self._opening, self._wanted = 0.0, -1
+        self._measured: dict[str, Array] = {}
+        self._failed: Fault | None = None
+        self._ended = threading.Event()
+        self._gripper: Any = None
+        self._perception: Channel | None = None
+
+    def connect(self) -> dict[str, Any]:
+        try:
+            from dashboard_client import DashboardClient  # noqa: PLC0415  (optional)
+            from rtde_control import RTDEControlInterface  # noqa: PLC0415
+            from rtde_receive import RTDEReceiveInterface  # noqa: PLC0415
+        except ImportError:
+            raise BundleError("ur-rtde is missing; pip install 'karolos-deploy[ur]'") from None
+        host = self.values["host"]
+        try:
+            board = DashboardClient(host)
+            board.connect()
+            model = board.getRobotModel().strip().lower().removesuffix("e")
+            board.disconnect()
+            self._receive = RTDEReceiveInterface(host, self.rate, VARIABLES)
+            self._control = RTDEControlInterface(host, self.rate)
+            if self.values["gripper"]:
+                self._gripper = socket.create_connection((host, int(self.number("gripper"))), 5).makefile("rw")
+        except (RuntimeError, OSError) as error:
+            raise Fault("no connection", f"{host}: {str(error).splitlines()[0]}") from None
+        if self.values["zero_wrench"] == "yes":
+            self._control.zeroFtSensor()
+        self._calibrate()
+        if self.values["perception"]:
+            self._perception = Channel(self.values["perception"])
+        threading.Thread(target=self._sense, daemon=True).start()
+        return {"name": model, "joints": len(self._receive.getActualQ()), "payload": self._receive.getPayload()}
+
+    def _calibrate(self) -> None:
+        """Find how the controller's base frame is turned from that of the bundle, about the vertical."""
+        at = self.bundle.chain.at(self._receive.getActualQ())
+        own, told = at.position - self.bundle.chain.base, np.array(self._receive.getActualTCPPose()[:3])
+        if abs(np.hypot(*own[:2]) - np.hypot(*told[:2])) + abs(own[2] - told[2]) > TCP_TOLERANCE:
+            what = (
+                f"its tool centre point is at {told.round(3).tolist()}, joints and bundle say {own.round(3).tolist()}"
+            )
+            raise Fault("wrong robot", what + "; set the TCP of the gripper on the controller")
+        self._turn = turned_by((0.0, 0.0, np.arctan2(own[1], own[0]) - np.arctan2(told[1], told[0])))
+
+    def _sense(self) -> None:
+        """Ask gripper and cameras, in a thread: their answers take longer than a cycle."""
+        told = -1
+        try:
+            while not self._ended.wait(1 / SENSOR_RATE):
+                if self._gripper is not None:
+                    if self._wanted not in (-1, told):
+                        told = self._wanted
+                        self._say(f"SET POS {told}")
+                    self._opening = 1 - int(self._say("GET POS").split()[-1]) / 255
+                if self._perception is not None:
+                    answer = self._perception.ask(do="measured")["measured"]
+                    self._measured = {name: np.array(values) for name, values in answer.items()}
+        except (OSError, ValueError, IndexError):
+            self._failed = Fault("connection lost", "the gripper does not answer")
+        except Fault as fault:
+            self._failed = fault
+
+    def _say(self, command: str) -> str:
+        self._gripper.write(command + "\n")
+        self._gripper.flush()
+        return str(self._gripper.readline())
+
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:
+        goal: list[float] | None = None
+        if self._perception is not None:
+            goal = self._perception.ask(do="begin", episode=episode).get("goal")
+        time.sleep(0.3)  # until all that is told is of the new episode
+        if not self._control.isProgramRunning():
+            self._control.reuploadScript()
+            time.sleep(0.2)  # until the program waits for commands
+        if move and not self._control.setWatchdog(self.number("watchdog")):
+            raise Fault("refused", "the controller took no watchdog")
+        self._time = -1.0
+        return goal
+
+    def read(self) -> Reading | None:
+        receive = self._receive
+        if self._failed is not None:
+            raise self._failed
+        if not receive.isConnected():
+            raise Fault("connection lost", "the controller ended it")
+        stamp = receive.getTimestamp()
+        bits, state = receive.getSafetyStatusBits(), RUNNING
+        for bit, name in STATES.items():
+            if bits >> bit & 1:
+                state = name
+                break
+        if state == RUNNING and receive.getRuntimeState() != PLAYING:
+            state = "program stopped"
+        if stamp == self._time and state == RUNNING:
+            return None
+        self._time = stamp
+        positions, velocities = np.array(receive.getActualQ()), np.array(receive.getActualQd())
+        self._at = self.bundle.chain.at(positions)
+        back = self._at.rotation.T @ self._turn
+        wrench = (back @ np.reshape(receive.getActualTCPForce(), (2, 3)).T).T.ravel()
+        return Reading(stamp, positions, velocities, wrench, self._opening, dict(self._measured), state)
+
+    def send(self, point: SetPoint) -> None:
+        if point.opening is not None:
+            self._wanted = round(255 * (1 - point.opening))
+        if point.positions is not None and point.velocities is not None:
+            cycle = 1 / self.rate
+            lookahead, gain = self.number("lookahead"), self.number("gain")
+            ahead = point.positions + lookahead * point.velocities  # the joints follow as much later
+            done = self._control.servoJ(ahead.tolist(), 0.0, 0.0, cycle, lookahead, gain)
+        else:
+            done = self._press(point)
+        if not done:
+            self.read()  # says why, if the robot knows
+            raise Fault("refused", "the controller took no set point")
+
+    def _press(self, point: SetPoint) -> bool:
+        """Have the tool press with what a spring at the tool would."""
+        spring, limits = self.bundle.contract["control"]["spring"], self.bundle.contract["limits"]
+        assert point.place is not None
+        assert point.rotation is not None
+        shift, turn = point.place - self._at.position, turn_of(point.rotation @ self._at.rotation.T)
+        force = self._turn.T @ shortened(shift, spring["error_limit"]) * spring["stiffness"]
+        torque = self._turn.T @ shortened(turn, spring["turn_error_limit"]) * spring["turn_stiffness"]
+        speed = limits["tool_speed"] or 1.0
+        wrench = [*force.tolist(), *torque.tolist()]
+        return bool(self._control.forceMode([0.0] * 6, [1] * 6, wrench, 2, [speed] * 3 + [1.0] * 3))
+
+    def stop(self) -> None:
+        if self._control is None or not self._receive.isConnected():
+            return  # the client would connect again; the controller's watchdog has stopped the robot
+        try:
+            if self._impedance:
+                self._control.forceModeStop()
+            else:
+                self._control.servoStop(DECELERATION)
+        except RuntimeError:
+            pass  # the watchdog stops it
+
+    def outcome(self) -> bool | None:
+        return None if self._perception is None else self._perception.ask(do="outcome").get("success")
+
+    def close(self) -> None:
+        self._ended.set()
+        for one in (self._control, self._receive):
+            if one is not None:
+                one.disconnect()
+        for other in (self._perception, self._gripper):
+            if other is not None:
+                other.close()

@@ -1,0 +1,218 @@
+"""The executor: it stops for each fault with one line, sends nothing after it, and writes a log that replays."""
+
+from __future__ import annotations
+
+import json
+import socket
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from karolos_deploy import Bundle, BundleError, Executor, Fault, Reading, SetPoint, command
+from karolos_deploy.drivers import Driver
+from karolos_deploy.drivers.simulation import Channel
+from karolos_deploy.executor import read_log, replay
+
+pytestmark = pytest.mark.xdist_group("bundle")  # which a process makes once
+BROKEN = 63
+"""Cycle from which a robot fails: after half a second."""
+DOWN = np.array([0, 1.5, 0, 0, 0, 0])
+"""rad/s with which an arm sinks."""
+
+
+class Obedient(Driver):
+    """A robot that is where it was told to be, in a clock of its own; from the cycle `BROKEN` on it fails."""
+
+    settings: ClassVar[Mapping[str, str]] = {"fault": ""}
+    failing: ClassVar[dict[str, Callable[[Reading], Reading | None]]] = {
+        "late reading": lambda _: None,
+        "stale clock": lambda reading: replace(reading, time=100.5),
+        "not a number": lambda reading: replace(reading, velocities=reading.velocities * np.nan),
+        "jump": lambda reading: replace(reading, positions=reading.positions + 0.4),
+        "out of workspace": lambda one: replace(one, positions=one.positions + (one.time - 100.5) * DOWN),
+        "force": lambda reading: replace(reading, wrench=np.array([0, 0, 400.0, 0, 0, 0])),
+        "protective stop": lambda reading: replace(reading, state="protective stop"),
+        "emergency stop": lambda reading: replace(reading, state="emergency stop"),
+        "controller restarted": lambda reading: replace(reading, time=reading.time - 50),
+    }  # fmt: skip
+    identities: ClassVar[dict[str, dict[str, Any]]] = {
+        "wrong robot": {"name": "ur10"},
+        "wrong payload": {"payload": 3.5},
+    }
+
+    def connect(self) -> dict[str, Any]:
+        known = {**self.bundle.contract["robot"], "joints": 6}
+        return known | self.identities.get(self.values["fault"], {})
+
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:
+        logged = self.bundle.episode()
+        self.seen = {name: logged[f"measured_{name}"][0] for name in self.measured}
+        self.told = [np.array([joint["home"] for joint in self.bundle.contract["joints"]])]
+        self.time, self.sent, self.stops = 100.0, [], 0
+        self.speed = np.zeros(6)
+        return None
+
+    @property
+    def measured(self) -> list[str]:
+        return [one["name"] for one in self.bundle.contract["observation"] if one["formula"] == "measured"]
+
+    def now(self) -> float:
+        return self.time
+
+    def wait(self, until: float) -> None:
+        self.time = until
+
+    def read(self) -> Reading | None:
+        reading = Reading(self.time, self.told[-1], self.speed, np.zeros(6), 1.0, self.seen)
+        if len(self.sent) < BROKEN or self.values["fault"] not in self.failing:
+            return reading
+        return self.failing[self.values["fault"]](reading)
+
+    def send(self, point: SetPoint) -> None:
+        assert point.positions is not None
+        assert point.velocities is not None
+        assert not self.stops
+        self.sent.append(point)
+        self.told.append(point.positions)
+        self.speed = point.velocities
+
+    def stop(self) -> None:
+        self.stops += 1
+
+
+@pytest.mark.parametrize("fault", [*Obedient.failing, *Obedient.identities])
+def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards(
+    fault: str, whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made: list[Obedient] = []
+
+    def make(*given: Any) -> Obedient:
+        made.append(Obedient(*given))
+        return made[0]
+
+    monkeypatch.setattr(command, "find", lambda _: make)
+    code = command.main([str(whole), "--move", "--rate", "125", "--set", f"fault={fault}"])
+    assert code == command.STOPPED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"stopped: {fault}: ")
+    if fault in Obedient.failing:
+        late = {"late reading": 11, "stale clock": 11, "out of workspace": 60, "force": 2}.get(fault, 0)  # cycles
+        assert BROKEN <= len(made[0].sent) <= BROKEN + late
+        assert made[0].stops == 1
+    else:
+        assert not hasattr(made[0], "sent")
+
+
+@pytest.mark.parametrize(
+    ("answer", "kind"), [(b"", "connection lost"), (b'{"time": 1', "connection lost"), (b"{12\n", "half a packet")]
+)
+def test_a_connection_that_is_cut_or_says_half_a_packet_is_a_fault(answer: bytes, kind: str) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as waiting:
+
+        def serve() -> None:
+            connection, _ = waiting.accept()
+            connection.recv(100)
+            connection.sendall(answer)
+            connection.close()
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        channel = Channel(f"127.0.0.1:{waiting.getsockname()[1]}")
+        with pytest.raises(Fault) as caught:
+            channel.ask(do="exchange")
+        assert caught.value.kind == kind
+        channel.close()
+        thread.join()
+
+
+@pytest.mark.parametrize("name", ["policy.npz", "policy.yaml", "episode.npz", "golden.npz", "README.md", "SHA256SUMS"])
+def test_a_flipped_bit_is_refused_before_anything_moves(
+    name: str, bundle: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = bytearray((bundle / name).read_bytes())
+    data[len(data) // 2] ^= 1
+    (bundle / name).write_bytes(data)
+    assert command.main([str(bundle), "--move"]) == command.REFUSED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("refused: ")
+    assert str(bundle) in line
+
+
+def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    golden = dict(np.load(bundle / "golden.npz"))
+    np.savez(bundle / "golden.npz", **{**golden, "action": golden["action"] + 0.01})
+    monkeypatch.setattr("karolos_deploy.bundle.check_sums", lambda _: None)
+    with pytest.raises(BundleError, match=r"golden mismatch: golden\.npz: the action differs"):
+        Bundle(bundle)
+
+
+def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole: Path, tmp_path: Path) -> None:
+    loaded = Bundle(whole)
+    driver = Obedient(loaded, {})
+    executor = Executor(loaded, driver, rate=500, log=tmp_path / "log")
+    assert [executor.run(episode).steps for episode in range(2)] == [30, 30]
+    head, columns = read_log(tmp_path / "log")
+    assert head["rate"] == 500
+    assert len(columns["now"]) == 2 * 1250
+    np.testing.assert_array_equal(columns["set_point"][-1][:6], driver.sent[-1].positions)
+    assert replay(loaded, tmp_path / "log") == (2500, 0.0)
+    changed = bytearray((tmp_path / "log").read_bytes())
+    start = changed.index(b"\n") + 1 + 8 * (3 + 3)  # the first joint in the first row
+    changed[start : start + 8] = np.float64(-0.22).tobytes()
+    (tmp_path / "log").write_bytes(changed)
+    assert replay(loaded, tmp_path / "log")[1] > 1e-4
+
+
+def test_without_move_the_policy_acts_and_nothing_is_sent(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made: list[Obedient] = []
+    monkeypatch.setattr(command, "find", lambda _: lambda *given: made.append(Obedient(*given)) or made[0])
+    assert command.main([str(whole)]) == 0
+    assert not made[0].sent
+    assert made[0].stops == 1
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[-1] == "nothing was moved; --move moves the robot"
+    assert len(lines) == 1 + command.SHOWN + 1
+
+
+def test_onnxruntime_acts_as_numpy_does(whole: Path) -> None:
+    pytest.importorskip("onnxruntime")
+    golden = np.load(whole / "golden.npz")
+    found = Bundle(whole, onnx=True).policy(golden["observation"][0], golden["desired_goal"][0])
+    np.testing.assert_allclose(found, golden["action"][0], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "why"),
+    [
+        (["--set", "fault"], "--set takes NAME=VALUE"),
+        (["--set", "speed=1"], "the driver has no setting speed"),
+        (["--goal", "1,2", "--move"], "the goal has 2 numbers; it needs 3"),
+        (["--rate", "5"], "a rate of 5 Hz is not possible"),
+        (["--driver", "kuka"], "no driver is called 'kuka'"),
+    ],
+)
+def test_wrong_options_are_refused_in_one_line(
+    arguments: list[str], why: str, whole: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if "kuka" not in arguments:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(command, "find", lambda _: Obedient)
+            assert command.main([str(whole), *arguments]) == command.REFUSED
+    else:
+        assert command.main([str(whole), *arguments]) == command.REFUSED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert why in line
+
+
+def test_a_simulated_robot_in_a_process_of_its_own_succeeds(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = ["clock=simulated", "latency=0.01", "jitter=0.002", "calibration=0.001"]
+    arguments = [part for one in settings for part in ("--set", one)]
+    assert command.main([str(whole), "--move", "--json", "--rate", "125", "--episodes", "2", *arguments]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert (told["episodes"], told["successes"]) == (2, 2)

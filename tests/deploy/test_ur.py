@@ -1,0 +1,70 @@
+"""The driver `ur` against a fake controller in a process of its own, through ur-rtde, which nobody here wrote."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from karolos_deploy import Bundle, Executor, Fault
+from karolos_deploy.drivers.simulation import Channel
+from karolos_deploy.drivers.ur import UR
+
+pytest.importorskip("rtde_control", reason="ur-rtde is not installed")
+pytestmark = pytest.mark.xdist_group("bundle")
+HOST = "127.0.0.31"
+
+
+@pytest.fixture
+def camera(whole: Path) -> Iterator[str]:
+    """The address of the requests of a fake controller."""
+    order = [sys.executable, "-m", "karolos.export.fake_ur", str(whole), HOST]
+    with subprocess.Popen(order, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        yield process.stdout.readline().strip()
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+@pytest.mark.parametrize("fault", ["protective stop", "emergency stop", "connection cut", "half a packet", "force"])
+def test_a_controller_that_fails_gets_no_further_set_point(fault: str, whole: Path, camera: str) -> None:
+    bundle, asked = Bundle(whole), Channel(camera)
+    driver = UR(bundle, {"host": HOST, "perception": camera, "watchdog": "1"})
+    executor = Executor(bundle, driver, rate=125)
+    executor.late = 2.0  # a busy machine is no fault here
+    executor.check()
+    moved = driver.send
+    count = 0
+
+    def send(point: object) -> None:
+        nonlocal count
+        count += 1
+        if count == 40:
+            asked.ask(do="fault", kind=fault)
+        moved(point)  # type: ignore[arg-type]
+
+    driver.send = send  # type: ignore[method-assign,assignment]
+    with pytest.raises(Fault) as caught:
+        executor.run(0)
+    names = {"connection cut": "connection lost", "half a packet": "connection lost"}
+    assert caught.value.kind == names.get(fault, fault)
+    before = asked.ask(do="state")
+    driver.wait(driver.now() + 0.5)
+    after = asked.ask(do="state")
+    assert after["points"] == before["points"] <= 60
+    assert after["speed"] < 0.05
+    driver.close()
+    asked.close()
+
+
+def test_another_robot_and_another_payload_are_refused(whole: Path, camera: str) -> None:
+    asked = Channel(camera)
+    for fault in ("wrong payload", "wrong robot"):
+        asked.ask(do="fault", kind=fault)
+        driver = UR(Bundle(whole), {"host": HOST})
+        with pytest.raises(Fault, match=fault):
+            Executor(Bundle(whole), driver, rate=125).check()
+        driver.close()
+    asked.close()
