@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeVar
 from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest, stop_on_signals
+from ..experiment.tracking import Tracking
 from ..files import read_object, write_whole
 from ..registry import load
 from ..specification import Spec
@@ -109,7 +110,7 @@ class Driver:
     """
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:
-        self._launcher, self._listener, self.stop, self._retries = launcher, listener, stop, retries
+        self._launcher, self._listener, self.stop, self._retries = launcher, Tracking(listener), stop, retries
         self._waiting: deque[tuple[Job, FolderTask]] = deque()
         self._active: dict[Path, tuple[Job, FolderTask]] = {}
 
