@@ -26,6 +26,7 @@ def export(
         bool | None,
         typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
     ] = None,
+    card: Annotated[bool, typer.Option("--card", help="Write README.md for the Hugging Face hub, too.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -36,6 +37,7 @@ def export(
     in [-1, 1], or the index of a discrete action. policy.json says what each number means.
     """
     folder = open_run(run, runs, database)
+    from karolos.export.card import write_card
     from karolos.export.export import export_policy
     from karolos.records.shipped import is_shipped
 
@@ -43,6 +45,7 @@ def export(
     done = export_policy(folder, out, checkpoint=chosen_checkpoint(folder, checkpoint), onnx=onnx)
     row = {"run": folder.id, "checkpoint": done.checkpoint, "steps": done.steps, "folder": str(done.folder)}
     files = [path.name for path in done.files]
+    files += [write_card(folder, done.checkpoint, done.folder).name] if card else []
     row |= {"files": files if json else " ".join(files), "error": done.error}
     print_rows([row], json=json)
     if onnx is None and "policy.onnx" not in files:
