@@ -120,8 +120,7 @@ def dataset(
 
 def _about(spec: Spec, policy: str, chosen: dict[str, Any], *, randomize: bool) -> dict[str, Any]:
     """What the numbers mean and where they come from. Only the number of episodes may change when it goes on."""
-    from karolos.environments.build import opened
-    from karolos.environments.facts import Facts
+    from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
     from karolos.records import provenance

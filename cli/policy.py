@@ -248,6 +248,7 @@ def export(
         bool | None,
         typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
     ] = None,
+    card: Annotated[bool, typer.Option("--card", help="Write README.md for the Hugging Face hub, too.")] = False,
     bundle: Annotated[
         bool, typer.Option("--bundle", help="Write everything that a robot's computer needs, for karolos-deploy.")
     ] = False,
@@ -275,6 +276,10 @@ def export(
         done = export_policy(folder, out, checkpoint=chosen, onnx=onnx)
     row = {"run": folder.id, "checkpoint": done.checkpoint, "steps": done.steps, "folder": str(done.folder)}
     files = [path.name for path in done.files]
+    if card:
+        from karolos.export.card import write_card
+
+        files.append(write_card(folder, done.checkpoint, done.folder).name)
     row |= {"files": files if json else " ".join(files), "error": done.error}
     print_rows([row], json=json)
     if onnx is None and "policy.onnx" not in files:

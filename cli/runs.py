@@ -456,6 +456,28 @@ def import_runs(
     print_rows([record.summary.row() for record in imported], json=json, line="{run}")
 
 
+@app.command("push")
+def push_runs(
+    selectors: ManyRuns = None,
+    to: Annotated[
+        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="mlflow, wandb or trackio.")
+    ] = "",
+    where: Where = None,
+    runs: Runs = Path("runs"),
+    database: Database = None,
+    json: Json = False,
+) -> None:
+    """Send runs to a tracker: tests, settings and records. A run that it has already is completed."""
+    from karolos.experiment.tracking import push
+    from karolos.records import RunFolder
+
+    store, found = select_runs(selectors or (), where, runs, database)
+    with store:
+        for run in found:
+            push(to, RunFolder.open(run.folder))
+    print_rows([{"run": run.run, "tracker": to} for run in found], json=json, line="{run}")
+
+
 def _show_row(run: RunSummary, tests: Sequence[Evaluation], final: Mapping[str, Evaluation]) -> dict[str, Any]:
     """The summary of a run, its tests and its final test as one row."""
     policies = {name: _test_row(final[name]) if name in final else None for name in ("last", "best")}

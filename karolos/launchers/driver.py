@@ -13,6 +13,7 @@ from typing import Literal
 from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest
+from ..experiment.tracking import Tracking
 from ..files import read_object, write_whole
 from ..registry import load
 from ..specification import Spec
@@ -95,7 +96,7 @@ class Driver:
     """
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:
-        self._launcher, self._listener, self.stop, self._retries = launcher, listener, stop, retries
+        self._launcher, self._listener, self.stop, self._retries = launcher, Tracking(listener), stop, retries
         self._work: dict[Job, list[FolderTask]] = {}
         """The jobs in work, each with its tasks."""
 

@@ -16,6 +16,7 @@ from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
 from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signals
 from ..experiment.start_from import pinned
+from ..experiment.tracking import Tracking
 from ..experiment.writer import index_run
 from ..files import FileLock
 from ..records import RunFolder
@@ -231,6 +232,6 @@ def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest)
         else:
             folder.lock()
             stop.watch(folder.stop)
-            run_or_resume(folder, url, listener, stop, beside=cores() >= 2)
+            run_or_resume(folder, url, Tracking(listener), stop, beside=cores() >= 2)
             stop.watch(folder.stop)  # another seed may follow
         return folder.summary()

@@ -45,7 +45,7 @@ def check_file(
             repair.write(used)
         else:
             used = path
-        settings = {"file": str(used), **known}
+        settings: dict[str, Any] = {"file": str(used), **known}
         try:
             found = proposal_of(FromFile.Settings.model_validate(settings))
         except KarolosError as error:
@@ -54,8 +54,9 @@ def check_file(
         for note in found.notes:
             doubted = note.startswith("doubted: ")
             yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
-        slow = {"tool_step": found.model.tool_step} if found.model.tool_step else {}
-        promised = cases(candidate("robots", "urdf", **settings, **slow), alone=True) if promises else ()
+        if found.model.tool_step:
+            settings["tool_step"] = found.model.tool_step
+        promised = cases(candidate("robots", "urdf", **settings), alone=True) if promises else ()
         for case, problem in results(promised):
             yield {
                 "kind": "promise",

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..core import BoolArray, Discrete, FloatArray, Layout, Signature, Transitions
-from ..environments.facts import Facts
+from ..environments.build import Facts
 from ..errors import UsageError
 from .lerobot import read_lerobot
 from .minari_file import read_minari

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
-from ..environments.facts import Facts
+from ..environments.build import Facts
 from ..files import append_lines, read_lines, read_object, write_json, writing
 
 FORMAT = 1

@@ -148,6 +148,8 @@ class DemonstrationSettings(Settings):
         return self.model_dump(mode="json", exclude=unused)
 
 
+TRACKERS = ("mlflow", "wandb", "trackio")
+"""Each has a module NAME_tracker in karolos.experiment."""
 FINAL_SEED_OFFSET = 1_000_000
 """Distance of the final test's root of seeds from `testing.seed`."""
 
@@ -250,6 +252,9 @@ class Spec(Settings):
     )
     training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
     testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
+    tracking: Literal["mlflow", "wandb", "trackio"] | None = Setting(
+        None, description="a tracker that gets each test; null: that of KAROLOS_TRACKING. Does not count as a change"
+    )
     continued_from: Continued | None = Setting(
         None, description="what the runs go on from; written by `karolos resume RUN training.steps=...` alone"
     )
@@ -296,8 +301,8 @@ class Spec(Settings):
     def hash(self) -> str:
         """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
 
-        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, device, threads
-        and settings that a plugin's `Settings.identity()` omits.
+        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, tracking,
+        device, threads and settings that a plugin's `Settings.identity()` omits.
         """
         text = json.dumps(_by_content(self._identity(), {}), sort_keys=True, separators=(",", ":"))
         return hashlib.sha256(text.encode()).hexdigest()
@@ -312,7 +317,7 @@ class Spec(Settings):
             "training": self.training.identity(),
             "testing": self.testing.identity(),
         }
-        for key in ("name", "seeds", "sweep", "transfer", "launcher"):
+        for key in ("name", "seeds", "sweep", "transfer", "launcher", "tracking"):
             identity.pop(key, None)
         return identity
 

@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import Environment, Expert, FloatArray, SeedTree, Step, Transitions
-from ..environments.build import opened
-from ..environments.facts import Facts
+from ..environments.build import Facts, opened
 from ..errors import RunError, UsageError
 from ..recordings.reading import read_recordings
 from ..specification.model import DemonstrationSettings

@@ -12,8 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from karolos.core.seeding import SeedTree
-from karolos.environments.build import opened
-from karolos.environments.facts import Facts
+from karolos.environments.build import Facts, opened
 from karolos.orchestrator.local import Local
 from karolos.recordings.lerobot import write_lerobot
 from karolos.recordings.playing import Recorder, build_with_expert

@@ -1,0 +1,152 @@
+"""Sends runs to a tracker that a team has: a listener beside others. The run folder stays the truth.
+
+The tracker is named by a spec's `tracking` or by KAROLOS_TRACKING. What a tracker raises is a warning and loses no run.
+A resumed run goes on in the same tracked run, which first gets the tests that it lacks.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from ..errors import MachineError, UsageError, described, recorded
+from ..records import RunFolder
+from ..records.evaluation import Evaluation
+from ..specification.model import TRACKERS
+from ..specification.tree import leaves
+from .events import Listener, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
+
+VARIABLE, PROJECT = "KAROLOS_TRACKING", "KAROLOS_PROJECT"
+"""Variables with the tracker of all runs, and with its project; by default that is "karolos"."""
+FILES = ("spec.yaml", "resolved.json", "run.json", "events.jsonl", "tests.jsonl", "final.jsonl")
+"""Artefacts of a run. code.diff is none: a tracker may be public."""
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """What a tracker is told of a run."""
+
+    id: str
+    name: str
+    """Of its experiment."""
+    project: str
+    runs: Path
+    """The runs folder, where trackers keep their files unless their own variables say where."""
+    settings: dict[str, Any]
+    """By key path, without secrets."""
+
+    @classmethod
+    def of(cls, folder: RunFolder) -> Tracked:
+        about = folder.description()
+        settings = {".".join(path): value for path, value in leaves(recorded(folder.read_spec() or {}))}
+        known = {"experiment": about["experiment"], "seed": about["seed"], **settings}
+        project = os.environ.get(PROJECT) or "karolos"
+        return cls(folder.id, about["name"], project, folder.path.resolve().parent, known)
+
+    @property
+    def group(self) -> str:
+        """The runs of a sweep's trials and of an experiment's seeds are one group."""
+        return re.sub(r"-t\d+$", "", self.name)
+
+
+class Tracker(ABC):
+    """One run in a tracker. It is made when the run starts or resumes, and may raise whatever its library raises."""
+
+    @abstractmethod
+    def __init__(self, run: Tracked) -> None:
+        """Begin the tracked run, or go on with the one that has the run's id."""
+
+    @abstractmethod
+    def known(self) -> set[int]:
+        """Steps whose points it has."""
+
+    @abstractmethod
+    def add(self, points: Mapping[str, float], steps: int) -> None:
+        """Add the points of a test after these environment steps."""
+
+    @abstractmethod
+    def add_files(self, files: list[Path]) -> None:
+        """Keep files of the run folder."""
+
+    @abstractmethod
+    def end(self, state: str) -> None:
+        """The run is finished, stopped or failed."""
+
+
+def open_tracker(name: str, folder: RunFolder) -> Tracker:
+    """A tracker with all tests that the folder holds.
+
+    Raises:
+        UsageError: there is no such tracker.
+        MachineError: its package is missing.
+    """
+    if name not in TRACKERS:
+        raise UsageError(f"there is no tracker {name!r}", hint=f"there are {', '.join(TRACKERS)}")
+    try:
+        kind: type[Tracker] = getattr(import_module(f".{name}_tracker", __package__), f"{name.title()}Tracker")
+        tracker = kind(Tracked.of(folder))
+    except ImportError as error:
+        raise MachineError(f"the package {error.name} is missing", hint=f"pip install 'karolos[{name}]'") from error
+    known = tracker.known()
+    for result in folder.tests():
+        if result.steps not in known:
+            tracker.add(_points(result, "test"), result.steps)
+    return tracker
+
+
+def push(name: str, folder: RunFolder) -> None:
+    """Send what a run folder holds. What the tracker has of it stays. Raises as `open_tracker` and as its library."""
+    tracker = open_tracker(name, folder)
+    if final := folder.final():
+        tracker.add(_points(final["last"], "final"), final["last"].steps)
+    _end(tracker, folder, folder.state().state)
+
+
+def _points(test: Evaluation, group: str) -> dict[str, float]:
+    values = {"return": test.mean_return, "success_end": test.success_end, "success_any": test.success_any}
+    values |= {name: one["mean"] for name, one in test.measures.items()}
+    return {f"{group}/{name}": value for name, value in values.items() if value is not None}
+
+
+def _end(tracker: Tracker, folder: RunFolder, state: str) -> None:
+    tracker.add_files([folder.path / name for name in FILES if (folder.path / name).is_file()])
+    tracker.end(state)
+
+
+@dataclass
+class Tracking:
+    """A listener that passes events on, and sends each run to the tracker that its spec or the environment names."""
+
+    listener: Listener
+    _runs: dict[str, tuple[RunFolder, Tracker]] = field(default_factory=dict, init=False)
+
+    def __call__(self, event: RunEvent) -> None:
+        self.listener(event)
+        try:
+            self._track(event)
+        except Exception as error:  # it is the tracker's library, or the network
+            self._runs.pop(event.run, None)
+            consequence = f"the run goes on; `karolos runs push {event.run}` sends it later"
+            self.listener(RunWarned(event.run, f"the tracker failed: {described(error)} ({consequence})"))
+
+    def _track(self, event: RunEvent) -> None:
+        if isinstance(event, RunStarted):
+            folder = RunFolder.open(event.folder)
+            name = (folder.read_spec() or {}).get("tracking") or os.environ.get(VARIABLE)
+            if name:
+                self._runs[event.run] = folder, open_tracker(name, folder)
+        elif (found := self._runs.get(event.run)) is None:
+            return
+        elif isinstance(event, RunTested):
+            found[1].add(_points(event.result, "test"), event.result.steps)
+        elif isinstance(event, RunFinalTested):
+            found[1].add(_points(event.final["last"], "final"), event.final["last"].steps)
+        elif isinstance(event, RunEnded):
+            del self._runs[event.run]
+            _end(found[1], found[0], event.state)

@@ -1,0 +1,53 @@
+"""Runs in Weights & Biases: offline in the runs folder, unless WANDB_MODE=online; `wandb sync` sends them later."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import wandb
+from typing_extensions import override
+
+from .tracking import Tracked, Tracker
+
+
+class WandbTracker(Tracker):
+    """A run of W&B with the id of the run. It gets neither code, command line, console nor facts of the machine."""
+
+    def __init__(self, run: Tracked) -> None:
+        quiet = {"console": "off", "disable_git": True, "save_code": False, "silent": True, "x_disable_stats": True}
+        mode: Any = os.environ.get("WANDB_MODE", "offline")
+        self._run = wandb.init(
+            project=run.project,
+            id=run.id,
+            name=run.id,
+            group=run.group,
+            config=run.settings,
+            dir=os.environ.get("WANDB_DIR") or str(run.runs),
+            mode=mode,
+            resume="allow",
+            reinit="create_new",
+            settings=wandb.Settings(**quiet, x_disable_meta=True, x_disable_machine_info=True),
+        )
+        self._run.define_metric("*", step_metric="steps")
+
+    @override
+    def known(self) -> set[int]:
+        return set()  # offline nobody knows; of two points at the same steps W&B shows the later
+
+    @override
+    def add(self, points: Mapping[str, float], steps: int) -> None:
+        self._run.log({"steps": steps, **points})
+
+    @override
+    def add_files(self, files: list[Path]) -> None:
+        artifact = wandb.Artifact(f"{self._run.id}-records", type="run")
+        for file in files:
+            artifact.add_file(str(file))
+        self._run.log_artifact(artifact)
+
+    @override
+    def end(self, state: str) -> None:
+        self._run.finish(exit_code=0 if state == "finished" else 1)
