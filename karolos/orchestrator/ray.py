@@ -176,7 +176,7 @@ class ActorPool(WorkerPool):
     def _readable(self, timeout: float) -> list[Channel]:
         channels = [channel for channel in self._channels if not channel.worker.lost]
         oldest = {channel.connection.answers[0][0]: channel for channel in channels if channel.connection.answers}
-        if not oldest:
+        if not oldest or not self._ray.is_initialized():  # a script may have shut it down
             return []
         self._ray.wait(list(oldest), timeout=timeout)
         ready, _ = self._ray.wait(list(oldest), num_returns=len(oldest), timeout=0)
