@@ -94,28 +94,22 @@ class Noise:
         if more > 0:  # new environments are at the beginning of an episode
             self._age = np.concatenate((self._age, np.zeros(more, np.int64)))
             self._memory = torch.cat((self._memory, self._memory.new_zeros((more, *self._memory.shape[1:]))))
-        memory = self._next_memory(environments, generator)
+        where, age = torch.from_numpy(environments).to(rows.device), self._age[environments]
+        memory = self._memory[where]
+        correlated = self._kind == "ornstein_uhlenbeck"
+        renewed = age == 0 if correlated else age % self._interval == 0
+        if correlated or renewed.any():
+            drawn = torch.randn(memory.shape, generator=generator, device=rows.device)
+            if correlated:
+                memory = (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn
+            memory = torch.where(torch.from_numpy(renewed).to(rows.device).view(-1, 1, 1), drawn, memory)
         self._age[environments] += 1
-        where = torch.from_numpy(environments).to(rows.device)
         self._memory[where] = memory
-        if self._kind == "ornstein_uhlenbeck":
+        if correlated:
             return memory[:, 0]
         features = torch.cat((rows, rows.new_ones((len(rows), 1))), 1)
         features = features / torch.linalg.vector_norm(features, dim=1, keepdim=True)
         return torch.bmm(features.unsqueeze(1), memory).squeeze(1)
-
-    def _next_memory(self, environments: NDArray[np.int64], generator: torch.Generator) -> Tensor:
-        """The memory of these environments after this step: (n, k, a)."""
-        device, age = self._memory.device, self._age[environments]
-        memory = self._memory[torch.from_numpy(environments).to(device)]
-        correlated = self._kind == "ornstein_uhlenbeck"
-        renewed = age == 0 if correlated else age % self._interval == 0
-        if not correlated and not renewed.any():
-            return memory
-        drawn = torch.randn(memory.shape, generator=generator, device=device)
-        if correlated:
-            memory = (1 - self._theta) * memory + (self._theta * (2 - self._theta)) ** 0.5 * drawn
-        return torch.where(torch.from_numpy(renewed).to(device).view(-1, 1, 1), drawn, memory)
 
     def state(self) -> State:
         return {"memory": self._memory.clone(), "age": self._age.copy()}

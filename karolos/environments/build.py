@@ -173,14 +173,14 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
     distributions = dict(recipe.randomization)
     lists = []
     for name in names:
-        part = distributions[name]
-        if not isinstance(part.settings, Choice.Settings):
+        drawn = distributions[name]
+        if not isinstance(drawn.settings, Choice.Settings):
             raise UsageError(
-                f"{name} is fixed in a built world, so it cannot be drawn by {part.name!r}",
+                f"{name} is fixed in a built world, so it cannot be drawn by {drawn.name!r}",
                 setting=f"randomization.{name}",
                 hint="list values: {name: choice, values: [...]}; each has a world of its own",
             )
-        lists.append(dict.fromkeys(part.settings.values))
+        lists.append(dict.fromkeys(drawn.settings.values))
     combinations = list(product(*lists))
     if len(combinations) > MOST_WORLDS:
         raise UsageError(
@@ -188,22 +188,22 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
             setting=", ".join(f"randomization.{name}" for name in names),
             hint=f"at most {MOST_WORLDS} are built in each environment; list fewer values",
         )
-    return {values: _with(recipe, dict(zip(names, values, strict=True))) for values in combinations}
-
-
-def _with(recipe: Recipe, values: Mapping[str, float]) -> Recipe:
-    for name, value in values.items():
-        key, _, field = name.partition(".")
-        part: Part = getattr(recipe, key)
-        try:
-            settings = validate_strictly(type(part.settings), {**part.settings.model_dump(mode="json"), field: value})
-        except ValidationError as error:
-            raise UsageError(
-                f"{name} cannot be {value:g}: {error.errors()[0]['msg']}", setting=f"randomization.{name}"
-            ) from error
-        changed = Part(part.kind, part.name, settings)
-        recipe = replace(recipe, robot=changed) if key == "robot" else replace(recipe, task=changed)
-    return recipe
+    found = {}
+    for values in combinations:
+        variant = recipe
+        for name, value in zip(names, values, strict=True):
+            key, _, field = name.partition(".")
+            part: Part = getattr(variant, key)
+            given = {**part.settings.model_dump(mode="json"), field: value}
+            try:
+                settings = validate_strictly(type(part.settings), given)
+            except ValidationError as error:
+                what = f"{name} cannot be {value:g}: {error.errors()[0]['msg']}"
+                raise UsageError(what, setting=f"randomization.{name}") from error
+            changed = Part(part.kind, part.name, settings)
+            variant = replace(variant, robot=changed) if key == "robot" else replace(variant, task=changed)
+        found[values] = variant
+    return found
 
 
 def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:

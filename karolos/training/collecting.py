@@ -108,12 +108,9 @@ class Episodes:
     def receive(self, at_least: int | None = None) -> Received:
         """Wait for answers as `Orchestrator.receive` does, and count them. An episode that failed has no record."""
         received = self._counted(self._orchestrator.receive(at_least))
-        if self._replay and any(failure.lost for failure in received.failures):
-            return self._with_replayed(received)
-        return received
-
-    def _with_replayed(self, received: Received) -> Received:
-        """Play the episodes of lost workers again, and add the answers to the commands that they had."""
+        if not (self._replay and any(failure.lost for failure in received.failures)):
+            return received
+        # Play the episodes of lost workers again, and add the answers to the commands that they had.
         updates, steps = self._updates.copy(), self._steps + (self._updates >= 0)
         latest = Step.zeros(self._orchestrator.signature, self._orchestrator.size)
         failures = self._replay_lost(received.failures, steps, latest)

@@ -120,6 +120,8 @@ class Gymnasium(Environment):
     def __init__(self, settings: Gymnasium.Settings) -> None:
         self.settings = settings
         env = make_environment(settings)
+        from gymnasium import spaces, spec  # noqa: PLC0415  (imported by now)
+
         registered = getattr(env.spec, "reward_threshold", None)
         self._success_return = registered if settings.success_return is None else settings.success_return
         try:
@@ -129,7 +131,10 @@ class Gymnasium(Environment):
                 what = f"{settings.id} itself ends its episodes after {limit} steps"
                 hint = f"at most {limit}, or raise that in its arguments, environment.kwargs"
                 raise UsageError(what, setting="environment.max_steps", hint=hint)
-            steps = settings.max_steps or min(filter(None, (limit, _registered_steps(settings.id))), default=None)
+            steps = settings.max_steps
+            if not steps:  # env.spec lacks the registered limit, because it was made without TimeLimit
+                listed = spec(settings.id.rpartition(":")[2]).max_episode_steps
+                steps = min(filter(None, (limit, listed)), default=None)
             if not steps:
                 raise UsageError(
                     f"{settings.id} is registered without a largest number of steps", setting="environment.max_steps"
@@ -141,8 +146,10 @@ class Gymnasium(Environment):
                 self._rule = GymnasiumGoals(make, env, settings.id, settings.success_reward, settings.goal_terminates)
                 shapes = {name: env.observation_space[name].shape for name in GOALS}
                 goals = {name: Layout((Field(name, int(np.prod(shape))),)) for name, shape in shapes.items()}
+            named = isinstance(self._space, spaces.Dict)
+            parts = self._space.items() if named else [("observation", self._space)]
             self.signature = Signature(
-                observation=_layout(self._space),
+                observation=Layout(tuple(Field(str(key), int(spaces.flatdim(part))) for key, part in parts)),
                 action=_action(env.action_space),
                 max_steps=steps,
                 reward_range=settings.reward_range or (-np.inf, np.inf),
@@ -335,13 +342,6 @@ def _own_limit(env: Any) -> int | None:
     return min(filter(None, limits), default=None)
 
 
-def _registered_steps(name: str) -> int | None:
-    """The registered limit, which the spec of an environment made without TimeLimit lacks."""
-    from gymnasium import spec  # noqa: PLC0415
-
-    return spec(name.rpartition(":")[2]).max_episode_steps  # its module is imported by now
-
-
 def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
     """The observed space: all, or all but the goals."""
     from gymnasium import spaces  # noqa: PLC0415
@@ -380,13 +380,6 @@ def _difference(space: Any, value: Any, name: str = "observation") -> str | None
     if inside and space.contains(np.asarray(value, space.dtype) if isinstance(space, spaces.Box) else value):
         return None
     return f"{name} {_line(value)}, which is not in its space {_line(space)}"
-
-
-def _layout(space: Any) -> Layout:
-    from gymnasium import spaces  # noqa: PLC0415
-
-    parts = space.items() if isinstance(space, spaces.Dict) else [("observation", space)]
-    return Layout(tuple(Field(str(key), int(spaces.flatdim(part))) for key, part in parts))
 
 
 def _action(space: Any) -> Layout | Discrete:
