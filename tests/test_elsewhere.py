@@ -71,6 +71,7 @@ def test_a_fault_is_found(line: str) -> None:
     assert list(faults(line))
 
 
+RUN = "run karolos:smoke/toy orchestrator.processes=1 training.steps=300 --quiet"
 CALL = """
 import sys
 from karolos_cli import main
@@ -97,7 +98,7 @@ def run_here(folder: Path, *commands: str, **environment: str) -> str:
 def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same run on Linux."""
     folder = tmp_path_factory.mktemp("linux")
-    run_here(folder, "run karolos:smoke/toy --quiet")
+    run_here(folder, RUN)
     (run,) = folder.glob("runs/*-s0-*")
     return run
 
@@ -107,7 +108,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_runs_are_made_stopped_resumed_and_compared(as_system: str, there: Path, tmp_path: Path) -> None:
     """Two processes of runs with a worker each; the training episodes are those of Linux."""
     environment = {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
-    run_here(tmp_path, "run karolos:smoke/toy seeds=[0,1] --jobs 2 --quiet", **environment)
+    run_here(tmp_path, f"{RUN} seeds=[0,1] --jobs 2", **environment)
     (elsewhere,) = (tmp_path / "runs").glob("*-s0-*")
     assert (elsewhere / "episodes.jsonl").read_bytes() == (there / "episodes.jsonl").read_bytes()
     commands = "compare smoke_toy", f"runs rm {elsewhere.name}", f"runs restore {elsewhere.name}", "runs list --json"

@@ -141,7 +141,7 @@ def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_proce
 
 def test_every_pair_that_goes_together_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experts, "names", lambda kind: names(kind)[:2])
-    cases = [row.case for row in experts.measure(episodes=1)]
+    cases = [row.case for row in experts.measure(episodes=1, jobs=1)]
     assert cases == [f"{robot} {task}" for robot in names("robots")[:2] for task in names("tasks")[:2]]
 
 

@@ -10,7 +10,9 @@ import os
 import signal
 import subprocess
 import time
+from collections.abc import Iterator
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 from support.torture import TIMES, karolos
@@ -46,10 +48,18 @@ def restart(folder: Path) -> None:
         subprocess.Popen([*user, server, *arguments], cwd=folder, stdout=log, stderr=log, start_new_session=True)
 
 
+@pytest.fixture
+def home() -> Iterator[Path]:
+    """A folder that the server's user may enter; the server in it is stopped at the end."""
+    with TemporaryDirectory() as folder:
+        Path(folder).chmod(0o755)
+        yield Path(folder)
+        kill(Path(folder, "postgres"))
+
+
 @pytest.mark.skipif(TIMES == 1, reason="a long test")
-def test_runs_outlive_their_database_which_agrees_with_the_folders_afterwards(tmp_path: Path) -> None:
-    tmp_path.chmod(0o755)
-    spec, folder, server = tmp_path / "outage.yaml", tmp_path / "runs", tmp_path / "postgres"
+def test_runs_outlive_their_database_which_agrees_with_the_folders_afterwards(home: Path) -> None:
+    spec, folder, server = home / "outage.yaml", home / "runs", home / "postgres"
     spec.write_text(json.dumps(toy(training={"steps": 2000}, testing={"interval": 100, "episodes": 4})))
     where = ("--runs", str(folder), "--database", start(server))
     commands = [
@@ -75,4 +85,3 @@ def test_runs_outlive_their_database_which_agrees_with_the_folders_afterwards(tm
         assert (code, out.strip()) == (0, ""), err
     rows = [json.loads(line) for line in asked("runs", "list", "--json", *where)[1].splitlines()]
     assert sorted((row["seed"], row["state"]) for row in rows) == [(seed, "finished") for seed in range(RUNS)]
-    kill(server)

@@ -125,7 +125,7 @@ def _install() -> None:
 
 def _windows():
     """Behaviour of Windows. Returns replacements for the project's modules; what pathlib and shutil use is replaced for all."""
-    import errno, multiprocessing, select, socket, stat
+    import errno, io, multiprocessing, select, socket, stat
 
     real = {
         name: getattr(os, name)
@@ -134,11 +134,23 @@ def _windows():
     text: set[int] = set()
     O_BINARY = 1 << 30
 
+    deceived: dict[str, bool] = {}
+    """Whether a process imitates Windows, too: no other one opens files of ours."""
+
+    def is_deceived(process: str) -> bool:
+        if process not in deceived:
+            try:
+                with io.open_code(f"/proc/{process}/environ") as file:
+                    deceived[process] = b"KAROLOS_AS=windows" in file.read()
+            except OSError:
+                return False
+        return deceived[process]
+
     def held(path: str, below: bool) -> str | None:
         """A process that has this file, or one below this folder, open."""
         end = path + os.sep
         for process in os.listdir("/proc"):
-            if process.isdigit():
+            if process.isdigit() and is_deceived(process):
                 try:
                     for number in os.listdir(f"/proc/{process}/fd"):
                         try:
