@@ -54,7 +54,7 @@ def check_file(
         for note in found.notes:
             doubted = note.startswith("doubted: ")
             yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
-        slow = {"tool_step": found.model.tool_step} if found.model.tool_step else {}
+        slow: Row = {"tool_step": found.model.tool_step} if found.model.tool_step else {}
         promised = cases(candidate("robots", "urdf", **settings, **slow), alone=True) if promises else ()
         for case, problem in results(promised):
             yield {
