@@ -54,8 +54,7 @@ class Place(NamedTuple):
     """A home pose and what can be done around it."""
 
     room: float
-    """How much of the largest workspace there is: 1 is all; less if the tool is slow, or if home is so near a face that
-    four steps lead out of it."""
+    """How much of the largest workspace there is: 1 is all; less if home is so near a face that four steps lead out."""
     home: tuple[float, ...]
     """Joint positions in rad."""
     tool: Vector
@@ -180,7 +179,7 @@ class Poses:
         tool, edges = self.chain.forward(home).tool.position, np.subtract(box.high, box.low)
         free = min(np.subtract(tool, box.low).min(), np.subtract(box.high, tool).min()) > 4 * step
         most = np.diff(self._largest(np.array(tool)), axis=0)[0]
-        room = float(np.prod(np.minimum(edges / most, 1.0))) * step / self.usual_step * (1.0 if free else 0.5)
+        room = float(np.prod(np.minimum(edges / most, 1.0))) * (1.0 if free else 0.5)
         corners = [self._walked(home, place)[0] for place in product(*zip(box.low, box.high, strict=True))]
         poses = (home, *(tuple(pose.tolist()) for pose in corners))
         return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box, poses)
@@ -249,12 +248,13 @@ class Poses:
     def _walked(self, home: Sequence[float], target: Sequence[float]) -> tuple[Array, bool]:
         """The pose (n,) to which full actions of cartesian control lead the tool from home, and whether it is there.
 
-        A slow arm gets so many more control steps.
+        A slow arm takes the same way in more of them.
         """
         pose = rest = np.array(home)
         start = self.chain.forward(home).tool
-        yaw, most, step = atan2(start.x[1], start.x[0]), self.speeds * PERIOD, self._tool_step(pose)
-        for _ in range(round(CONTROL_STEPS * max(1.0, self.usual_step / max(step, 1e-3)))):
+        yaw, slower = atan2(start.x[1], start.x[0]), self.usual_step / max(self._tool_step(pose), 1e-3)
+        most = self.speeds * PERIOD * max(1.0, slower)
+        for _ in range(CONTROL_STEPS):
             at = self.chain.forward(pose.tolist())
             x, y, z = at.tool.position
             dx, dy, dz = np.clip(np.subtract(target, (x, y, z)), -self.usual_step, self.usual_step).tolist()
