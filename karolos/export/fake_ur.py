@@ -72,7 +72,7 @@ class FakeUR(Server):
         self._registers: dict[str, float] = {"output_int_register_0": 0}
         self._runtime, self._watchdog, self._heard = STOPPED, 0.0, 0.0
         self._clients: dict[socket.socket, Client] = {}
-        self._gripper = 0.0
+        self._gripper = self._stamp = 0.0
         self._late = time.perf_counter()
         self.listen(29999, self._dashboard, b"Connected: Universal Robots Dashboard Server\n")
         self.listen(30003, self._script)
@@ -144,7 +144,7 @@ class FakeUR(Server):
     def _packet(self, client: Client) -> bytes:
         """A data package with the outputs that a client asked for."""
         told, robot, faults = self.robot.told(), self.robot, self.faults
-        stamp = told["time"] + time.perf_counter() - self._late - robot.time
+        stamp = self._stamp = max(self._stamp, told["time"] + time.perf_counter() - self._late - robot.time)
         positions = np.array(told["positions"])
         if "jump" in faults:
             positions = positions + 0.5
