@@ -18,7 +18,7 @@ SPEED_SHARE, TOOL_SPEED_SHARE = 0.97, 0.98
 """Fractions of the largest speeds of joints and tool at which they move steadily, as in training."""
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range."""
-LAG, LAG_TIME = 0.02, 0.1
+LAG, LAG_TIME = 0.015, 0.04
 """A path begins at most so many rad, and what its speed makes in so many s, away from where the joint was read."""
 JERK_TIME = 0.004
 """Seconds in which a joint reaches its largest acceleration."""

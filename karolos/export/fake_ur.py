@@ -43,7 +43,7 @@ FAULTS = {"protective stop": 1 << 2, "emergency stop": 1 << 7}
 
 
 @dataclass
-class Client:
+class Subscriber:
     """A connection to the RTDE port."""
 
     period: float = 1 / 500
@@ -71,8 +71,8 @@ class FakeUR(Server):
         self.payload: float = self.robot.contract["robot"]["payload"]
         self._registers: dict[str, float] = {"output_int_register_0": 0}
         self._runtime, self._watchdog, self._heard = STOPPED, 0.0, 0.0
-        self._clients: dict[socket.socket, Client] = {}
-        self._gripper = 0.0
+        self._clients: dict[socket.socket, Subscriber] = {}
+        self._gripper = self._stamp = 0.0
         self._late = time.perf_counter()
         self.listen(29999, self._dashboard, b"Connected: Universal Robots Dashboard Server\n")
         self.listen(30003, self._script)
@@ -141,10 +141,10 @@ class FakeUR(Server):
                 except OSError:
                     self.forget(connection)
 
-    def _packet(self, client: Client) -> bytes:
+    def _packet(self, client: Subscriber) -> bytes:
         """A data package with the outputs that a client asked for."""
         told, robot, faults = self.robot.told(), self.robot, self.faults
-        stamp = told["time"] + time.perf_counter() - self._late - robot.time
+        stamp = self._stamp = max(self._stamp, told["time"] + time.perf_counter() - self._late - robot.time)
         positions = np.array(told["positions"])
         if "jump" in faults:
             positions = positions + 0.5
@@ -178,7 +178,7 @@ class FakeUR(Server):
         return struct.pack(">HB", len(data) + 3, ord("U")) + data
 
     def _rtde(self, connection: socket.socket, rest: bytearray) -> None:
-        client = self._clients.setdefault(connection, Client())
+        client = self._clients.setdefault(connection, Subscriber())
         while len(rest) >= 3 and len(rest) >= (size := struct.unpack(">H", rest[:2])[0]):
             kind, data = chr(rest[2]), bytes(rest[3:size])
             del rest[:size]

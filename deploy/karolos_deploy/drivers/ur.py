@@ -41,7 +41,7 @@ DECELERATION = 5.0
 """Of a controlled stop, rad/s2."""
 TCP_TOLERANCE = 0.01
 """m by which the controller's tool centre point may be elsewhere than that of the bundle."""
-SENSOR_RATE = 60.0
+SENSOR_RATE = 125.0
 """Questions per second to gripper and cameras."""
 
 
