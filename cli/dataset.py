@@ -43,6 +43,10 @@ def dataset(
         bool, typer.Option("--randomize", help="Draw the spec's randomization in each episode, as training does.")
     ] = False,
     seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
+    camera: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="Film each episode, for lerobot: front or wrist.")
+    ] = None,
+    size: Annotated[int, typer.Option(min=16, max=2048, help="Width and height of a picture in pixels.")] = 224,
     checkpoint: Checkpoint = None,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -55,9 +59,9 @@ def dataset(
     """
     from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import load_player
-    from karolos.files import read_object, write_whole
+    from karolos.files import write_whole
     from karolos.recordings.card import card, outcome
-    from karolos.recordings.recording import DESCRIPTION, RecordingFolder
+    from karolos.recordings.recording import RecordingFolder
 
     chosen = {
         "episodes": episodes,
@@ -79,6 +83,8 @@ def dataset(
         spec, act, policy = player.spec, player.policy.act, f"{folder.id}, checkpoint {name}"
         if player.note:
             warn(player.note)
+    if camera and (format != "lerobot" or size % 2):
+        raise UsageError("--camera films for --format lerobot, in pictures of an even size")
     if format != "karolos":
         from karolos.recordings.source import require
 
@@ -87,32 +93,36 @@ def dataset(
 
     recording = RecordingFolder(out if format == "karolos" else out / UNFINISHED)
     about = _about(spec, policy, chosen, randomize=randomize)
+    films = recording.path / "films" if camera else None
+    if camera:
+        from karolos.recordings.cameras import poses
+
+        about["cameras"] = poses(spec.recipe(randomize=randomize), tuple(dict.fromkeys(camera)), (size, size))
     if out.exists() and any(out.iterdir()):
         _check_same(recording, about, out)
     recording.begin(about)
-    with _orchestrator(spec, expert=expert, randomize=randomize) as environments:
-        size = environments.signature.action.size
+    with _orchestrator(spec, films, about, expert=expert, randomize=randomize) as environments:
+        actions = environments.signature.action.size
         recorder = Recorder(
             environments,
-            act or (lambda step: step.observation[-size:]),
+            act or (lambda step: step.observation[-actions:]),
             SeedTree(seed).child("dataset"),
             recording,
             episodes,
             only_success=only is not None,
             noise=noise,
             random=random,
-            hidden=size if expert else 0,
+            hidden=actions if expert else 0,
         )
         played = _run(recorder, episodes)
     done = {**about, "outcome": outcome(played)}
-    _write(format, out, done, recording)
+    _write(format, out, done, recording, films)
     write_whole(out / "README.md", card(done))
     if format == "karolos":
         recording.begin(done)
     else:
         from karolos.system import remove_tree
 
-        assert read_object(recording.path / DESCRIPTION)  # of this command
         remove_tree(recording.path, ignore_errors=True)
     counts = {name: value for name, value in done["outcome"].items() if isinstance(value, int)}
     print_rows([{"folder": str(out), "format": format, **counts}], json=json)
@@ -164,15 +174,23 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
     say(f"{out} goes on after {len(recording.played())} episodes")
 
 
-def _orchestrator(spec: Spec, *, expert: bool, randomize: bool) -> Any:
-    """The spec's environments; with the expert's actions at the end of observations."""
+def _orchestrator(spec: Spec, films: Path | None, about: dict[str, Any], *, expert: bool, randomize: bool) -> Any:
+    """The spec's environments, filmed or not; with the expert's actions at the end of observations."""
     from karolos.environments.build import build_environment
     from karolos.recordings.playing import build_with_expert
     from karolos.registry import load
 
-    part = spec.orchestrator
-    build = build_with_expert if expert else build_environment
-    return load("orchestrators", part.name)(part.settings, partial(build, spec.recipe(randomize=randomize)))
+    part, recipe, cameras = spec.orchestrator, spec.recipe(randomize=randomize), about.get("cameras", {})
+    build: Any = partial(build_with_expert if expert else build_environment, recipe)
+    if films:
+        from karolos.recordings.cameras import build_filmed
+        from karolos.recordings.lerobot import whole_rate
+
+        films.mkdir(parents=True, exist_ok=True)
+        seen: dict[str, Any] = {"cameras": tuple(cameras), "rate": whole_rate(about["rate"])}
+        [size, *_] = {(one["width"], one["height"]) for one in cameras.values()}
+        build = partial(build_filmed, recipe, expert=expert, folder=films.resolve(), size=size, **seen)
+    return load("orchestrators", part.name)(part.settings, build)
 
 
 def _run(recorder: Recorder, episodes: int) -> Any:
@@ -187,11 +205,11 @@ def _run(recorder: Recorder, episodes: int) -> Any:
         return recorder.run()
 
 
-def _write(format: str, out: Path, about: dict[str, Any], recording: RecordingFolder) -> None:
+def _write(format: str, out: Path, about: dict[str, Any], recording: RecordingFolder, films: Path | None) -> None:
     if format == "lerobot":
         from karolos.recordings.lerobot import write_lerobot
 
-        write_lerobot(out, about, recording.recordings(), about["task"])
+        write_lerobot(out, about, recording.recordings(), about["task"], films)
     elif format == "minari":
         from karolos.recordings.minari_file import write_minari
 

@@ -28,10 +28,10 @@ class MlflowTracker(Tracker):
         where = (run.runs / "mlflow").as_uri() if address.startswith("sqlite:") else None
         experiment = found.experiment_id if found else self._client.create_experiment(run.project, where)
         same = self._client.search_runs([experiment], f"tags.`karolos.run` = '{run.id}'")
-        self._known: set[int] = set()
+        self.known = set()
         if same:
             self._id = same[0].info.run_id
-            self._known = {point.step for point in self._client.get_metric_history(self._id, "test/return")}
+            self.known = {point.step for point in self._client.get_metric_history(self._id, "test/return")}
             self._client.update_run(self._id, status="RUNNING")
             return
         tags = {"karolos.run": run.id, "karolos.group": run.group, "karolos.experiment": run.settings["experiment"]}
@@ -40,10 +40,6 @@ class MlflowTracker(Tracker):
         for first in range(0, len(params), PARAMS):
             self._client.log_batch(self._id, params=params[first : first + PARAMS])
         self._client.log_batch(self._id, tags=[RunTag("mlflow.source.name", "karolos")])
-
-    @override
-    def known(self) -> set[int]:
-        return self._known
 
     @override
     def add(self, points: Mapping[str, float], steps: int) -> None:

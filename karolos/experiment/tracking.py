@@ -58,17 +58,22 @@ class Tracked:
 class Tracker(ABC):
     """One run in a tracker. It is made when the run starts or resumes, and may raise whatever its library raises."""
 
-    @abstractmethod
-    def __init__(self, run: Tracked) -> None:
-        """Begin the tracked run, or go on with the one that has the run's id."""
+    known: set[int]
+    """Steps whose tests it has: a resumed run may play some again."""
 
     @abstractmethod
-    def known(self) -> set[int]:
-        """Steps whose points it has."""
+    def __init__(self, run: Tracked) -> None:
+        """Begin the tracked run, or go on with the one that has the run's id. Sets `known`."""
 
     @abstractmethod
     def add(self, points: Mapping[str, float], steps: int) -> None:
-        """Add the points of a test after these environment steps."""
+        """Add points after these environment steps."""
+
+    def add_test(self, result: TestResult) -> None:
+        """Add a test, unless it is known."""
+        if result.steps not in self.known:
+            self.add(_points(result, "test"), result.steps)
+            self.known.add(result.steps)
 
     @abstractmethod
     def add_files(self, files: list[Path]) -> None:
@@ -93,10 +98,8 @@ def open_tracker(name: str, folder: RunFolder) -> Tracker:
         tracker = kind(Tracked.of(folder))
     except ImportError as error:
         raise MachineError(f"the package {error.name} is missing", hint=f"pip install 'karolos[{name}]'") from error
-    known = tracker.known()
     for result in folder.tests():
-        if result.steps not in known:
-            tracker.add(_points(result, "test"), result.steps)
+        tracker.add_test(result)
     return tracker
 
 
@@ -144,7 +147,7 @@ class Tracking:
         elif (found := self._runs.get(event.run)) is None:
             return
         elif isinstance(event, RunTested):
-            found[1].add(_points(event.result, "test"), event.result.steps)
+            found[1].add_test(event.result)
         elif isinstance(event, RunFinalTested):
             found[1].add(_points(event.final["last"], "final"), event.final["last"].steps)
         elif isinstance(event, RunEnded):

@@ -24,6 +24,8 @@ class TrackioTracker(Tracker):
     def __init__(self, run: Tracked) -> None:
         self._tracked = run
         self._write({}, None)
+        rows = SQLiteStorage.get_logs(run.project, run.id)
+        self.known = {int(row["step"]) for row in rows if "test/return" in row}
 
     def _write(self, points: Mapping[str, float], steps: int | None) -> None:
         run, off = self._tracked, {"embed": False, "auto_log_gpu": False, "auto_log_cpu": False}
@@ -33,11 +35,6 @@ class TrackioTracker(Tracker):
             if points:
                 opened.log(dict(points), step=steps)
             trackio.finish()
-
-    @override
-    def known(self) -> set[int]:
-        rows = SQLiteStorage.get_logs(self._tracked.project, self._tracked.id)
-        return {int(row["step"]) for row in rows if "test/return" in row}
 
     @override
     def add(self, points: Mapping[str, float], steps: int) -> None:

@@ -18,6 +18,7 @@ class WandbTracker(Tracker):
 
     def __init__(self, run: Tracked) -> None:
         quiet = {"console": "off", "disable_git": True, "save_code": False, "silent": True, "x_disable_stats": True}
+        self.known = set()  # offline nobody knows; of two points at the same steps W&B shows the later
         mode: Any = os.environ.get("WANDB_MODE", "offline")
         self._run = wandb.init(
             project=run.project,
@@ -32,10 +33,6 @@ class WandbTracker(Tracker):
             settings=wandb.Settings(**quiet, x_disable_meta=True, x_disable_machine_info=True),
         )
         self._run.define_metric("*", step_metric="steps")
-
-    @override
-    def known(self) -> set[int]:
-        return set()  # offline nobody knows; of two points at the same steps W&B shows the later
 
     @override
     def add(self, points: Mapping[str, float], steps: int) -> None:

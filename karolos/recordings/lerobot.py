@@ -7,7 +7,7 @@ the numbers mean, and the true rate where it is no whole number, stand under the
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -40,16 +40,17 @@ MOST_FRAMES = 100_000_000
 """Of a dataset that is read: more are taken for a damaged file."""
 
 
-def features(about: Mapping[str, Any], cameras: Mapping[str, tuple[int, int]]) -> dict[str, dict[str, Any]]:
+def features(about: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
     """The features of info.json."""
     found: dict[str, dict[str, Any]] = {}
     for part in (*STATES, "action"):
         names = column_names(about[part])
         if names:
             found[NAMES[part]] = {"dtype": "float32", "shape": [len(names)], "names": names}
-    for camera, (width, height) in cameras.items():
+    for camera, seen in about.get("cameras", {}).items():
+        width, height = seen["width"], seen["height"]
         shape = [height, width, 3]
-        video = {"video.fps": _whole_rate(about["rate"]), "video.codec": "h264", "video.pix_fmt": "yuv420p"}
+        video = {"video.fps": whole_rate(about["rate"]), "video.codec": "h264", "video.pix_fmt": "yuv420p"}
         video |= {"video.height": height, "video.width": width, "video.channels": 3, "has_audio": False}
         named = ["height", "width", "channels"]
         found[f"observation.images.{camera}"] = {"dtype": "video", "shape": shape, "names": named, "info": video}
@@ -60,7 +61,8 @@ def features(about: Mapping[str, Any], cameras: Mapping[str, tuple[int, int]]) -
     return found
 
 
-def _whole_rate(rate: float) -> int:
+def whole_rate(rate: float) -> int:
+    """Frames per second, which LeRobot wants whole."""
     return max(1, round(rate))
 
 
@@ -69,16 +71,16 @@ def write_lerobot(
     about: Mapping[str, Any],
     recordings: Iterable[Recording],
     task: str,
-    films: Mapping[str, Callable[[int], Path]] | None = None,
+    films: Path | None = None,
 ) -> None:
     """Write a dataset; what an interrupted call left there is replaced.
 
     Args:
         path: of the dataset's folder.
-        about: what the numbers mean, see `recording.describe`; `cameras` gives the size of each film's pictures.
+        about: what the numbers mean, see `recording.describe`; `cameras` has the size of each film's pictures.
         recordings: in their order; one is in memory at a time.
         task: what the robot does, in words.
-        films: by camera, gives the film of an episode by its place, which is moved into the dataset.
+        films: folder with SEED-CAMERA.mp4 of each episode, which are moved into the dataset.
 
     Raises:
         MachineError: pyarrow is missing, or the folder cannot be written.
@@ -87,7 +89,7 @@ def write_lerobot(
     with writing(path):
         for name in ("data", "meta", "videos"):
             system.remove_tree(path / name, ignore_errors=True)
-        _write(path, about, recordings, task, films or {})
+        _write(path, about, recordings, task, films or path)
 
 
 def _write(
@@ -95,13 +97,13 @@ def _write(
     about: Mapping[str, Any],
     recordings: Iterable[Recording],
     task: str,
-    films: Mapping[str, Callable[[int], Path]],
+    films: Path,
 ) -> None:
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
 
-    fps = _whole_rate(about["rate"])
-    known = features(about, about.get("cameras", {}))
+    fps = whole_rate(about["rate"])
+    known = features(about)
     episodes: list[dict[str, Any]] = []
     frames = file = 0
     writer: Any = None
@@ -130,11 +132,11 @@ def _write(
             },
             "final/seed": recording.seed,
         }
-        for camera, film in films.items():
+        for camera in about.get("cameras", {}):
             video = {"chunk_index": place // FILES_PER_CHUNK, "file_index": place % FILES_PER_CHUNK}
             target = path / VIDEO.format(video_key=f"observation.images.{camera}", **video)
             target.parent.mkdir(parents=True, exist_ok=True)
-            system.replace(film(place), target)
+            system.replace(films / f"{recording.seed}-{camera}.mp4", target)
             at = {**video, "from_timestamp": 0.0, "to_timestamp": recording.steps / fps}
             row |= {f"videos/observation.images.{camera}/{key}": value for key, value in at.items()}
         episodes.append(row)
@@ -162,7 +164,7 @@ def _write(
         "fps": fps,
         "splits": {"train": f"0:{len(episodes)}"},
         "data_path": DATA,
-        "video_path": VIDEO if films else None,
+        "video_path": VIDEO if about.get("cameras") else None,
         "features": known,
         "karolos": dict(about),
     }

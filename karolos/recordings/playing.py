@@ -30,7 +30,7 @@ class WithExpert(Environment):
     """
 
     def __init__(self, environment: Environment) -> None:
-        self._environment = environment
+        self.environment = environment
         signature = environment.signature
         if isinstance(signature.action, Discrete):
             raise UsageError("experts give continuous actions", setting="environment.actions")
@@ -39,13 +39,13 @@ class WithExpert(Environment):
         self.rate = environment.rate
 
     def reset(self, seed: int) -> Step:
-        step = self._environment.reset(seed)
-        self.acting = self._environment.expert()
+        step = self.environment.reset(seed)
+        self.acting = self.environment.expert()
         self.acting.reset()
         return self._shown(step)
 
     def step(self, action: Array) -> Step:
-        return self._shown(self._environment.step(action))
+        return self._shown(self.environment.step(action))
 
     def _shown(self, step: Step) -> Step:
         over = step.terminated or step.truncated
@@ -53,13 +53,13 @@ class WithExpert(Environment):
         return step._replace(observation=np.concatenate((step.observation, np.asarray(action, np.float32))))
 
     def parameters(self) -> FloatArray:
-        return self._environment.parameters()
+        return self.environment.parameters()
 
     def measures(self) -> FloatArray:
-        return self._environment.measures()
+        return self.environment.measures()
 
     def close(self) -> None:
-        self._environment.close()
+        self.environment.close()
 
 
 def build_with_expert(recipe: Recipe) -> WithExpert:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
+from imageio_ffmpeg import read_frames
 from karolos_cli.main import app
 from support.commands import call
 from support.datasets import facts, lerobot, record
@@ -97,3 +98,19 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
     shutil.copytree(begun, tmp_path / "other" / ".recording")
     _, _, said = call(app, *COMMAND, str(tmp_path / "other"), "--seed", "1")
     assert "beginning of another dataset: seed differ" in said
+
+
+def test_films_have_a_picture_for_each_action(tmp_path: Path) -> None:
+    filmed = [*COMMAND, str(tmp_path), "--camera", "front", "--camera", "wrist", "--size", "32"]
+    assert call(app, *filmed)[0] == 0
+    info = json.loads((tmp_path / "meta/info.json").read_text())
+    rows = pq.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()
+    for name in ("observation.images.front", "observation.images.wrist"):
+        assert info["features"][name]["shape"] == [32, 32, 3]
+        for row in rows:
+            place = {kind: row[f"videos/{name}/{kind}"] for kind in ("chunk_index", "file_index")}
+            pictures = read_frames(tmp_path / info["video_path"].format(video_key=name, **place))
+            assert next(pictures)["fps"] == info["fps"]
+            assert sum(1 for _ in pictures) == row["length"]
+    code, _, said = call(app, *COMMAND, str(tmp_path / "other"), "--camera", "side")
+    assert (code, "there is no camera 'side'; there are front and wrist" in said) == (2, True)

@@ -1,0 +1,116 @@
+"""Films of recorded episodes: each environment writes those of its episodes while it steps, picture by picture."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+from ..core import Array, Environment, FloatArray, Step
+from ..environments.build import build_environment
+from ..environments.robot_task import RobotTask
+from ..errors import UsageError
+from ..simulation.interface import Camera
+from ..specification.parts import Recipe
+from .playing import WithExpert, build_with_expert
+
+CAMERAS = ("front", "wrist")
+"""front: where films of the task are taken from. wrist: behind and above the tool; it moves with the tool and does not
+turn with it."""
+WRIST = Camera(distance=0.3, yaw=-90.0, pitch=-55.0, field_of_view=60.0)
+"""Its target is the tool."""
+
+
+class Filmed(Environment):
+    """An environment that films its episodes, one picture for each action.
+
+    Args:
+        environment: of a robot and a task; it may be `WithExpert`.
+        folder: of the films, SEED-CAMERA.mp4.
+        cameras: some of CAMERAS.
+        size: width and height of the pictures.
+        rate: pictures per second of the film.
+
+    Raises:
+        UsageError: the environment has no cameras.
+    """
+
+    def __init__(
+        self, environment: Environment, folder: Path, cameras: tuple[str, ...], size: tuple[int, int], rate: int
+    ) -> None:
+        world = environment.environment if isinstance(environment, WithExpert) else environment
+        if not isinstance(world, RobotTask):
+            raise UsageError("only a robot with a task has cameras", hint="leave out --camera")
+        self._environment, self._world = environment, world
+        self._folder, self._cameras, self._size, self._rate = folder, cameras, size, rate
+        self._films: dict[str, Any] = {}
+        self.signature, self.rate = environment.signature, environment.rate
+
+    def reset(self, seed: int) -> Step:
+        self._end()
+        step = self._environment.reset(seed)
+        for camera in self._cameras:
+            self._films[camera] = _film(self._folder / f"{seed}-{camera}.mp4", self._size, self._rate)
+        self._add()
+        return step
+
+    def step(self, action: Array) -> Step:
+        step = self._environment.step(action)
+        if step.terminated or step.truncated:
+            self._end()
+        else:
+            self._add()
+        return step
+
+    def _add(self) -> None:
+        for name, film in self._films.items():
+            camera = self._world.camera
+            if name == "wrist":
+                camera = replace(WRIST, target=self._world.robot.tool.position, base=camera.base)
+            film.send(self._world.world.render(*self._size, camera).tobytes())
+
+    def _end(self) -> None:
+        while self._films:
+            self._films.popitem()[1].close()  # which waits until the film is whole
+
+    def parameters(self) -> FloatArray:
+        return self._environment.parameters()
+
+    def measures(self) -> FloatArray:
+        return self._environment.measures()
+
+    def close(self) -> None:
+        self._end()
+        self._environment.close()
+
+
+def build_filmed(
+    recipe: Recipe, *, expert: bool, folder: Path, cameras: tuple[str, ...], size: tuple[int, int], rate: int
+) -> Filmed:
+    """The environment of a recipe, with or without its expert, filmed. Raises as `build_environment`."""
+    environment = build_with_expert(recipe) if expert else build_environment(recipe)
+    return Filmed(environment, folder, cameras, size, rate)
+
+
+def _film(path: Path, size: tuple[int, int], rate: int) -> Iterator[None]:
+    from imageio_ffmpeg import write_frames  # noqa: PLC0415
+
+    often = ["-g", "2", "-threads", "1"]  # a reader that wants one picture decodes two
+    film: Any = write_frames(path, size, fps=rate, codec="libx264", quality=8, macro_block_size=2, output_params=often)
+    film.send(None)
+    return film  # type: ignore[no-any-return]
+
+
+def poses(recipe: Recipe, names: tuple[str, ...], size: tuple[int, int]) -> dict[str, dict[str, Any]]:
+    """What a description says of each camera: size in pixels, lengths in m, angles in degrees.
+
+    Raises UsageError for a name that is none of CAMERAS.
+    """
+    with closing(build_environment(recipe)) as environment:
+        front = environment.camera if isinstance(environment, RobotTask) else Camera()
+    if unknown := set(names) - set(CAMERAS):
+        raise UsageError(f"there is no camera {min(unknown)!r}", hint=f"there are {' and '.join(CAMERAS)}")
+    of = {"front": asdict(front), "wrist": {**asdict(WRIST), "target": "tool"}}
+    return {name: {"width": size[0], "height": size[1], **of[name]} for name in names}
