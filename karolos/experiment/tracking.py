@@ -69,7 +69,7 @@ class Tracker(ABC):
     def add(self, points: Mapping[str, float], steps: int) -> None:
         """Add points after these environment steps."""
 
-    def add_test(self, result: TestResult) -> None:
+    def add_test(self, result: Evaluation) -> None:
         """Add a test, unless it is known."""
         if result.steps not in self.known:
             self.add(_points(result, "test"), result.steps)
