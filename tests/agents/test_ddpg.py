@@ -5,20 +5,13 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from support.parts import batch, signature
+from support.parts import batch, make, signature
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.inputs import TensorBatch, tensor_batch
 from karolos.agents.td3 import TD3
-from karolos.core import Signature
-from karolos.core.seeding import SeedTree
 
-SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
 AGENTS = [DDPG, TD3]
-
-
-def make(agent: type[DDPG] | type[TD3], of: Signature | None = None, **settings: Any) -> Any:
-    return agent(agent.Settings(**{**SMALL, **settings}), of or signature(), SeedTree(0))
 
 
 def targets_of(agent: Any, inputs: TensorBatch) -> torch.Tensor:

@@ -7,15 +7,14 @@ import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
+from support import parts
 from support.parts import batch, signature
 
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import tensor_batch
 from karolos.core import Discrete, Signature
-from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
 
-SMALL = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
 ACTIONS = 4
 
 
@@ -24,7 +23,7 @@ def discrete(**of: Any) -> Signature:
 
 
 def make(of: Signature | None = None, **settings: Any) -> DQN:
-    return DQN(DQN.Settings.model_validate({**SMALL, **settings}), of or discrete(), SeedTree(0))
+    return parts.make(DQN, of or discrete(), **settings)
 
 
 def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) -> Any:

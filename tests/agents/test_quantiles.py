@@ -1,22 +1,14 @@
 """Quantile critics: their loss and targets against the formulas written out, and that they learn."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 import torch
 from pydantic import ValidationError
-from support.parts import batch, signature
+from support.parts import batch, make, signature
 
 from karolos.agents.actor_critic import QuantileCritic, Quantiles
 from karolos.agents.inputs import tensor_batch
 from karolos.agents.sac import SAC
-from karolos.core.seeding import SeedTree
-
-
-def make(**settings: Any) -> SAC:
-    chosen = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32", **settings}
-    return SAC(SAC.Settings.model_validate(chosen), signature(), SeedTree(0))
 
 
 def written_out(values: np.ndarray, targets: np.ndarray, weight: np.ndarray) -> float:
@@ -52,7 +44,7 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
 
 
 def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> None:
-    agent = make(critic={"quantiles": 5, "drop": 1})
+    agent = make(SAC, critic={"quantiles": 5, "drop": 1})
     data = batch(6, signature(), discount=0.5)
     inputs = tensor_batch(data, agent.normaliser, agent.device)
     drawn = agent.draw(inputs.next_input)
@@ -69,7 +61,7 @@ def test_truncation_counts_over_members() -> None:
 
 
 def test_priorities_are_one_per_transition() -> None:
-    metrics = make(critic={}).learn(batch(16, signature()))
+    metrics = make(SAC, critic={}).learn(batch(16, signature()))
     assert metrics["priorities"].shape == (16,)
 
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from support import parts
 from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
@@ -14,7 +15,6 @@ from karolos.agents.inputs import TensorBatch, tensor_batch
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Batch, Discrete, Signature
-from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
 
 ACTIONS = Discrete(("left", "right", "wait", "jump"))
@@ -30,10 +30,8 @@ KINDS: list[tuple[Any, dict[str, Any]]] = [
 
 
 def make(kind: Any, of: Signature | None = None, **settings: Any) -> Any:
-    fixed = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32"}
     of = of or signature()
-    of = replace(of, action=ACTIONS) if kind is DQN else of
-    return kind(kind.Settings.model_validate({**fixed, **settings}), of, SeedTree(0))
+    return parts.make(kind, replace(of, action=ACTIONS) if kind is DQN else of, **settings)
 
 
 def played(kind: Any, size: int, seed: int = 0, **fixed: Any) -> Batch:

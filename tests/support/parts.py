@@ -9,6 +9,7 @@ from torch.nn.functional import layer_norm, linear
 
 from karolos.agents.networks import MLP
 from karolos.core import Batch, Field, Layout, Signature
+from karolos.core.seeding import SeedTree
 
 
 def signature(
@@ -28,6 +29,12 @@ def signature(
         achieved_goal=goals,
         desired_goal=goals,
     )
+
+
+def make(kind: Any, of: Signature | None = None, seed: int = 0, **settings: Any) -> Any:
+    """A small agent of this class."""
+    chosen = {"hidden": (32, 32), "learning_rate": 3e-3, "tau": 0.1, "precision": "float32", **settings}
+    return kind(kind.Settings.model_validate(chosen), of or signature(), SeedTree(seed))
 
 
 def leaf(network: MLP) -> Tensor:
