@@ -111,18 +111,17 @@ class Arm:
         self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
         self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
-        self.base: Vector = (
-            (-middle_x, -middle_y, -model.floor) if settings.base == "centred" else (0.0, 0.0, -model.floor)
-        )
+        offset: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
+        self.base: Vector = *offset[:2], 0.0 - model.floor
         tool = np.array(model.tool), urdf.rotation_matrix(*model.tool_rpy)
         self.chain = Chain(self._joints, tool, self.base)
-        self.workspace = model.workspace.moved(self.base)
-        self.dexterous = model.dexterous.moved(self.base) if model.dexterous is not None else None
+        self.workspace = model.workspace.moved(offset)
+        self.dexterous = model.dexterous.moved(offset) if model.dexterous is not None else None
         self.configuration = self.chain.forward(model.home)
         pose = self.configuration.tool
         self.home = pose.position
         self.home_yaw = atan2(pose.x[1], pose.x[0])
-        check_model(model, self._joints, tuple(np.subtract(pose.position, self.base).tolist()))
+        check_model(model, self._joints, tuple(np.subtract(pose.position, offset).tolist()))
         self.reset_noise = settings.reset_noise
         self.gripper_delay = settings.gripper_delay
         self._told: list[tuple[int, float]] = []

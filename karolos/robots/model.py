@@ -32,7 +32,7 @@ class ArmModel:
     """The numbers of one arm; limits, efforts and speeds of the joints come from its URDF.
 
     The revolute and continuous joints of the URDF that are not locked are the arm: a serial chain from its base. The
-    base is the link without a joint above it. Positions are those in its frame, with z = `floor` on the floor.
+    base is the link without a joint above it. Positions are those in its frame, but z is the height above the floor.
     """
 
     urdf: Path
@@ -55,7 +55,7 @@ class ArmModel:
     dexterous: Box | None = None
     """Part of the workspace in which the tool can be turned by `turn` and tilted by `tilt`, in m; None: unknown."""
     floor: float = 0.0
-    """Height in m of the floor, or of the table that the arm works on, in the frame of its base."""
+    """Where in the frame of the base the floor is, or the table that the arm works on: its z in m."""
     tilt: float = 0.3
     """Largest angle of the tool from pointing down, in any direction, in rad."""
     turn: float = 0.8

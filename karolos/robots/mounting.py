@@ -69,8 +69,8 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
         return whole
     arm = tuple(joint for joint in whole.description.joints if joint.revolute)
     x, y, _ = model.workspace.low
-    box = Box((x, y, model.floor + gripper.least_height), model.workspace.high)
-    box = _reached(arm, whole.tool, whole.tool_rpy, whole.home, box)
+    box = Box((x, y, gripper.least_height), model.workspace.high)
+    box = _reached(arm, (whole.tool, whole.tool_rpy, model.floor), whole.home, box)
     whole = replace(whole, workspace=box, dexterous=None, steps_down=STEPS_DOWN)
     if model.dexterous is None or own is None or name not in model.turn_with:
         return whole
@@ -92,17 +92,17 @@ def _placed(origin: Vector, rotation: Array, position: Vector) -> Vector:
 
 
 @cache
-def _reached(joints: tuple[Joint, ...], tool: Vector, rpy: Vector, home: tuple[float, ...], box: Box) -> Box:
+def _reached(joints: tuple[Joint, ...], frames: tuple[Vector, Vector, float], home: tuple[float, ...], box: Box) -> Box:
     """The box, drawn in towards the tool at home until the tool reaches it pointing down. It stays on the floor.
 
     Args:
         joints: of the arm.
-        tool: position of the tool in the frame of the last link, in m.
-        rpy: its frame there.
+        frames: position of the tool in the frame of the last link, in m, its rotation there, and `ArmModel.floor`.
         home: joint positions in rad.
         box: as large as it may be, in m.
     """
-    chain = Chain(joints, (np.array(tool), urdf.rotation_matrix(*rpy)))
+    tool, rpy, floor = frames
+    chain = Chain(joints, (np.array(tool), urdf.rotation_matrix(*rpy)), (0.0, 0.0, -floor))
     at = chain.forward(home).tool
     yaw = atan2(at.x[1], at.x[0])
     for share in np.linspace(1.0, 0.5, 26):

@@ -207,13 +207,12 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         f"collision: the convex hulls of {filled}": filled,
         f"self-collisions: {len(pairs)} pairs of links, which are apart in the whole workspace": True,
     }
-    up = 0.0, 0.0, site.floor
     model = replace(
         site.model,
         accelerations=accelerations,
         home=place.home,
-        workspace=place.workspace.moved(up),
-        dexterous=dexterous and dexterous.moved(up),
+        workspace=place.workspace,
+        dexterous=dexterous,
         floor=site.floor,
         tool_step=place.tool_step if slow else None,
         self_collisions=pairs,
@@ -302,9 +301,7 @@ class _Site:
             other = poses.best()
             if other is not None and other.room > (MORE * found.room if found is not None else 0.0):
                 found, self.poses, self.floor = other, poses, floor
-        if found is None or workspace is None:
-            return found
-        return self.poses.at(found.home, workspace.moved((0.0, 0.0, -self.floor)))
+        return found if found is None or workspace is None else self.poses.at(found.home, workspace)
 
     @property
     def room(self) -> float:

@@ -10,7 +10,8 @@ from karolos_cli.robot import app
 from support.commands import call
 from support.fourth_robot import exported_arm
 
-from karolos.plugins import robot_score
+from karolos.plugins import robot_check, robot_score
+from karolos.plugins.contracts import cases
 from karolos.records.shipped import shipped_names
 
 
@@ -21,7 +22,10 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return exported_arm(tmp_path).model.urdf
 
 
-def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm: Path, tmp_path: Path) -> None:
+def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(
+    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_check, "cases", lambda *one, **how: cases(*one, **how)[:3])  # all take a minute
     arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"').replace("/meshes/", "/elsewhere/"))
     code, out, err = call(
         app,

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.fourth_robot import TOOL, exported_arm
+from support.fourth_robot import LINKS, TOOL, exported_arm
 
 from karolos.errors import PluginError
 from karolos.evaluation.changed_spec import changed_spec
@@ -16,8 +16,9 @@ from karolos.files import copy_named, fingerprint
 from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.robots import from_file
-from karolos.robots.from_file import FromFile
+from karolos.robots.from_file import FromFile, proposal_of
 from karolos.robots.proposal import propose
+from karolos.robots.repair import USUAL_SPEED
 from karolos.simulation import urdf
 from karolos.specification import Spec, load_spec, spec_from_dict
 
@@ -148,3 +149,24 @@ def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm: Path) -
     assert max(weak.accelerations) <= 2.5 * 24
     description = urdf.load(arm, slides=("slide1", "slide2"))
     assert len(weak.accelerations) == len([joint for joint in description.joints if joint.revolute])
+
+
+def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm: Path) -> None:
+    bodies, motors = "", ""
+    for place, (height, axis, _, _, torque) in enumerate(LINKS, 1):
+        bodies += f'<body name="b{place}" pos="0 0 {height}"><joint name="j{place}" axis="{axis}" range="-170 170"/>'
+        bodies += '<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.08"/><site name="unknown"/>'
+        motors += f'<motor joint="j{place}" ctrlrange="-{torque} {torque}"/>'
+    hand = '<body name="hand" pos="0 0 0.09"/>'
+    path = arm.with_name("arm.xml")
+    path.write_text(
+        f'<mujoco><worldbody><body name="base"><geom size="0.05"/>{bodies}{hand}{"</body>" * 7}</worldbody>'
+        f"<actuator>{motors}</actuator></mujoco>"
+    )
+    robot = robot_of(file=str(path), gripper="robotiq_2f85", mass=9.0)
+    assert robot.limits.effort == tuple(float(torque) for *_, torque in LINKS)
+    assert set(robot.limits.velocity) == {USUAL_SPEED}
+    assert robot.model.cut == ("hand_fixed",)
+    masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
+    assert 6.0 < sum(masses) < 9.0, "the base weighs the rest"
+    assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
