@@ -58,7 +58,7 @@ def check(
     from karolos.plugins.robot_check import check_file
 
     known = {"gripper": gripper, "tool": tool, "flange": flange}
-    wrong = 0
+    wrong = kept = 0
     for row in check_file(file, repaired=repair, mass=mass, promises=promises, **known):
         image = row.pop("picture", None)
         if image is not None:
@@ -68,14 +68,17 @@ def check(
         elif json:
             print_rows([row], json=True)
         elif row["kind"] == "promise":
-            print_line(f"{'ok    ' if row['kept'] else 'BROKEN'} {row['promise']}")
+            kept += row["kept"]
             if not row["kept"]:
+                print_line(f"BROKEN {row['promise'].rpartition('-')[2]}")
                 print_line(f"       {row['what']} {row['problem']}")
         else:
             change = f"; repaired: {row['change']}" if row.get("change") else ""
             where = f"{row['where']}: " if "where" in row else ""
             print_line(f"{row['kind']}: {where}{row['what']}{change}")
         wrong += row["kind"] == "wrong" or row.get("kept") is False
+    if kept and not json:
+        print_line(f"kept: {kept} promises of a robot")
     if wrong:
         raise typer.Exit(PluginError.exit_code)
 

@@ -186,7 +186,7 @@ class RunTask(FolderTask):
         for row in happened:
             if row["event"] == "warning":
                 yield RunWarned(folder.id, f"{row['error']} ({row['consequence']})")
-            elif row["event"] == "final_test" and (final := folder.final()) is not None:
+            elif row["event"] == "final_test" and (final := folder.final()):
                 yield RunFinalTested(folder.id, final)
             elif row["event"] == "failed":
                 self._failure = row["error"], row["traceback"]

@@ -153,7 +153,7 @@ def test_behaviour_cloning_takes_no_environment_step(tmp_path: Path) -> None:
     folder = RunFolder.open(outcome.runs[0].folder)
     assert (folder.state().state, folder.state().steps, folder.state().updates) == ("finished", 0, 200)
     assert [test.steps for test in folder.tests()] == [0]
-    assert folder.final() is not None
+    assert folder.final()
     del given["demonstrations"]
     with pytest.raises(UsageError, match="nothing to learn from"):
         check_parts(spec_from_dict(given, cloned[:1]))
