@@ -5,6 +5,7 @@ import signal
 from collections.abc import Callable, Iterator
 
 import pytest
+from hypothesis import settings
 from support.closing import close_all
 from support.fake_plugins import FAKES
 
@@ -12,6 +13,8 @@ from karolos import registry
 
 Install = Callable[..., None]
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch: two that share a busy core wait for each other
+settings.register_profile("without a clock", deadline=None)  # a busy machine breaks no law
+settings.load_profile("without a clock")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
 
 

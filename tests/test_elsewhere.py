@@ -10,6 +10,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -19,6 +20,7 @@ ELSEWHERE = ROOT / "tests" / "support" / "elsewhere"
 OWN = sorted(path for folder in ("karolos", "cli") for path in (ROOT / folder).rglob("*.py"))
 
 
+@cache
 def hidden() -> tuple[set[str], set[tuple[str, str]]]:
     """Modules, and names of modules, that another system lacks."""
     spec = importlib.util.spec_from_file_location("elsewhere", ELSEWHERE / "sitecustomize.py")

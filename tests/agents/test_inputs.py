@@ -17,7 +17,7 @@ NUMBERS = st.floats(-1000, 1000, width=32)
 @given(
     batches=st.lists(hnp.arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=NUMBERS), min_size=1)
 )
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndarray]) -> None:
     normaliser = Normaliser(3, "cpu")
     for rows in batches:

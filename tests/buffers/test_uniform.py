@@ -55,7 +55,7 @@ def allowed_goals(world: Counting, ring_size: int, strategy: str) -> dict[tuple[
 
 @pytest.mark.parametrize("strategy", ["future", "final", "episode"])
 @given(history=histories())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_hindsight_goals_come_from_what_is_left_of_the_same_episode(
     strategy: str, history: tuple[int, int, int, list[list[bool | None]]]
 ) -> None:
@@ -90,7 +90,7 @@ def test_every_goal_the_strategy_names_is_drawn_over_the_ring_seam_too(strategy:
 
 
 @given(history=histories())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 def test_holds_exactly_the_latest_transitions_of_each_environment(
     history: tuple[int, int, int, list[list[bool | None]]],
 ) -> None:
