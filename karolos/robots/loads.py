@@ -21,7 +21,7 @@ ROUNDS, SMALLER = 200, 0.97
 
 
 @dataclass(frozen=True)
-class _Piece:
+class _Weight:
     """A link, or a finger, by the joint that moves it, counted from the base. In the frame of that joint's link."""
 
     joint: int
@@ -30,7 +30,7 @@ class _Piece:
     tensor: Array
 
 
-class Loads:
+class MotorLoads:
     """Torques on the joints of an arm with its hand.
 
     Args:
@@ -40,12 +40,12 @@ class Loads:
     def __init__(self, description: urdf.Description) -> None:
         self.joints = [joint for joint in description.joints if joint.revolute]
         links = {link.get("name", ""): urdf.inertia_of(link) for link in description.robot.findall("link")}
-        self._pieces = [_Piece(place, *links[joint.child]) for place, joint in enumerate(self.joints)]
+        self._pieces = [_Weight(place, *links[joint.child]) for place, joint in enumerate(self.joints)]
         for slide in (joint for joint in description.joints if not joint.revolute):
             mass, centre, tensor = links[slide.child]
             turn = np.array(slide.rotation)
             place = np.array(slide.origin) + turn @ centre
-            self._pieces.append(_Piece(len(self.joints) - 1, mass, place, turn @ tensor @ turn.T))
+            self._pieces.append(_Weight(len(self.joints) - 1, mass, place, turn @ tensor @ turn.T))
 
     def at(self, pose: Sequence[float]) -> tuple[Array, Array]:
         """Torques (n,) in N m that hold the arm at a pose (n,), and its inertia (n, n) in kg m2."""

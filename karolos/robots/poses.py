@@ -67,7 +67,7 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Body:
+class Outline:
     """What of an arm's shapes and its hand matters for where it works.
 
     Attributes:
@@ -103,7 +103,7 @@ class Poses:
     """
 
     def __init__(
-        self, joints: Sequence[Joint], tool: tuple[Array, Array], body: Body, usual_step: float, floor: float = 0.0
+        self, joints: Sequence[Joint], tool: tuple[Array, Array], body: Outline, usual_step: float, floor: float = 0.0
     ) -> None:
         self.chain, self.body, self.usual_step = Chain(joints, tool, (0.0, 0.0, -floor)), body, usual_step
         self._joints = [(np.array(one.origin), np.array(one.rotation), one.axis) for one in joints]

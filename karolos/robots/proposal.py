@@ -28,10 +28,10 @@ from ..simulation.interface import Fingers, Gripper
 from ..simulation.meshes import MESH_SUFFIXES, triangles
 from ..simulation.urdf import Joint
 from .grippers.parallel import GripperModel
-from .loads import Loads
+from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange
 from .mounting import mounted
-from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Body, Place, Poses, spanning
+from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
 from .settings import ArmSettings
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -172,7 +172,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
         where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
     filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
-    loads = Loads(whole.description)
+    loads = MotorLoads(whole.description)
     accelerations = loads.accelerations(place.corners)
     slower = ", ".join(f"{one:g}" for one in accelerations or ())
     weights = [
@@ -280,7 +280,7 @@ class _Site:
             lowest = FLOOR_CLEARANCE + max(float(((pads - tool[0]) @ turn[:, 2]).max()), 2 * FLOOR_CLEARANCE)
         x, y, _ = (turn.T @ across).tolist()
         shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
-        body = Body(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
+        body = Outline(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
         self.base = spanning(points_of(robot, joints[0].parent))
         self._made = joints, tool, body, USUAL_STEP
         self.poses, self.floor = Poses(*self._made), 0.0

@@ -30,7 +30,7 @@ def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_wr
     assert min(np.subtract(model.workspace.high, model.workspace.low)) > 0.2
     assert model.workspace.low[2] < 0.03, "the tool reaches objects on the floor"
     assert [note.partition(":")[0] for note in found.notes] == [
-        "base", "arm", "gripper", "tool", "home", "workspace", "dexterous", "accelerations", "self-collisions",
+        "base", "arm", "gripper", "tool", "home", "workspace", "dexterous", "self-collisions",
     ]  # fmt: skip
 
 
