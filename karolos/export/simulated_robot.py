@@ -6,6 +6,7 @@ driver `simulation` of karolos-deploy starts it.
 
 from __future__ import annotations
 
+import gc
 import json
 import selectors
 import socket
@@ -34,6 +35,8 @@ TICK = 1 / 240
 """Seconds of the robot's own loop, and of a step of its world."""
 AHEAD = 0.02
 """Seconds for which the last set point's speed counts where the next is late."""
+CATCH_UP = 4 * TICK
+"""Time constant in s with which joints come to their set points."""
 LONGEST_LAG = 0.25
 """Seconds that the world may be behind the clock; what is beyond is left out."""
 
@@ -135,7 +138,7 @@ class SimulatedRobot:
         else:
             ahead = min(self.time + TICK - self._due, AHEAD)
             target = np.array(point["positions"]) + ahead * np.array(point["velocities"])
-            speed = (target - arm.joint_positions) / max(point.get("lookahead", 0.0), TICK)
+            speed = np.array(point["velocities"]) + (target - arm.joint_positions) / point.get("lookahead", CATCH_UP)
             speed = np.clip(speed, *np.outer((-1, 1), arm.limits.velocity))
         arm.motors.drive(speed.tolist(), speed.tolist(), openings)
 
@@ -271,6 +274,8 @@ class Server:
 
     def serve(self) -> None:
         """Answer until `end` is called."""
+        gc.collect()
+        gc.freeze()  # a later collection of all that was imported would take 90 ms
         while self._running:
             for key, _ in self._selector.select(TICK / 2 if self.real else None):
                 key.data(key.fileobj)

@@ -37,6 +37,7 @@ class Obedient(Driver):
         "force": lambda reading: replace(reading, wrench=np.array([0, 0, 400.0, 0, 0, 0])),
         "protective stop": lambda reading: replace(reading, state="protective stop"),
         "emergency stop": lambda reading: replace(reading, state="emergency stop"),
+        "wrong size": lambda reading: replace(reading, positions=reading.positions[:5]),
         "controller restarted": lambda reading: replace(reading, time=reading.time - 50),
     }  # fmt: skip
     identities: ClassVar[dict[str, dict[str, Any]]] = {
