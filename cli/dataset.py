@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from karolos.recordings.playing import Recorder
     from karolos.recordings.recording import RecordingFolder
     from karolos.specification import Spec
+    from karolos.specification.parts import Recipe
 
 UNFINISHED = ".recording"
 """Folder in --out that holds the episodes until the dataset is written, so that the same command goes on."""
@@ -58,7 +59,8 @@ def dataset(
     was interrupted. An episode's seeds and noise depend on its number alone.
     """
     from karolos.core.seeding import SeedTree
-    from karolos.evaluation.changed_spec import load_player
+    from karolos.evaluation.changed_spec import changed_spec, engine_note
+    from karolos.evaluation.policies import load_agent
     from karolos.files import write_whole
     from karolos.recordings.card import card, outcome
     from karolos.recordings.recording import RecordingFolder
@@ -75,44 +77,45 @@ def dataset(
         from karolos.specification import load_spec
 
         spec, act, policy = load_spec(run, overrides or ()), None, "the task's scripted expert"
+        recipe = spec.recipe(randomize=randomize)
     else:
         folder = open_run(run, runs, database)
         name = chosen_checkpoint(folder, checkpoint)
-        player = load_player(folder, name, overrides or ())
-        player.environment.close()
-        spec, act, policy = player.spec, player.policy.act, f"{folder.id}, checkpoint {name}"
-        if player.note:
-            warn(player.note)
+        saved = load_agent(folder, name)
+        spec = changed_spec(saved.spec, overrides or (), trained=saved.signature, randomize=randomize)
+        act, policy = saved.policy().act, f"{folder.id}, checkpoint {name}"
+        recipe = spec.recipe(randomize=True)  # what it draws is left in the spec
+        if note := engine_note(saved.spec, spec):
+            warn(note)
     if camera and (format != "lerobot" or size % 2):
         raise UsageError("--camera films for --format lerobot, in pictures of an even size")
     if format != "karolos":
         from karolos.recordings.source import require
 
         require({"lerobot": "pyarrow"}.get(format, format), format, f"--format {format}")
-    from karolos.recordings.playing import Recorder
+    from karolos.recordings.playing import Recorder, expert_act
 
     recording = RecordingFolder(out if format == "karolos" else out / UNFINISHED)
-    about = _about(spec, policy, chosen, randomize=randomize)
+    about = _about(spec, recipe, policy, chosen)
     films = recording.path / "films" if camera else None
     if camera:
         from karolos.recordings.cameras import poses
 
-        about["cameras"] = poses(spec.recipe(randomize=randomize), tuple(dict.fromkeys(camera)), (size, size))
+        about["cameras"] = poses(recipe, tuple(dict.fromkeys(camera)), (size, size))
     if out.exists() and any(out.iterdir()):
         _check_same(recording, about, out)
     recording.begin(about)
-    with _orchestrator(spec, films, about, expert=expert, randomize=randomize) as environments:
-        actions = environments.signature.action.size
+    with _orchestrator(spec, recipe, films, about, expert=expert) as environments:
         recorder = Recorder(
             environments,
-            act or (lambda step: step.observation[-actions:]),
+            act or expert_act(environments.signature),
             SeedTree(seed).child("dataset"),
             recording,
             episodes,
             only_success=only is not None,
             noise=noise,
             random=random,
-            hidden=actions if expert else 0,
+            hidden=environments.signature.action.size if expert else 0,
         )
         played = _run(recorder, episodes)
     done = {**about, "outcome": outcome(played)}
@@ -128,14 +131,14 @@ def dataset(
     print_rows([{"folder": str(out), "format": format, **counts}], json=json)
 
 
-def _about(spec: Spec, policy: str, chosen: dict[str, Any], *, randomize: bool) -> dict[str, Any]:
+def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """What the numbers mean and where they come from. Only the number of episodes may change when it goes on."""
     from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
     from karolos.records import provenance
 
-    with opened(spec.recipe(randomize=randomize)) as environment:
+    with opened(recipe) as environment:
         facts = Facts.of(environment)
         doc = (type(getattr(environment, "task", environment)).__doc__ or "").strip().splitlines()
     versions, code = provenance.versions(), provenance.code(Path.cwd())
@@ -148,7 +151,9 @@ def _about(spec: Spec, policy: str, chosen: dict[str, Any], *, randomize: bool) 
             "robot": spec.robot.name if spec.robot else spec.environment.name,
             "policy": policy,
             **chosen,
-            "spec": recorded({key: dumped[key] for key in ("robot", "task", "environment") if key in dumped}),
+            "spec": recorded(
+                {key: dumped[key] for key in ("robot", "task", "environment", "randomization") if key in dumped}
+            ),
             "experiment": spec.hash(),
             "versions": {
                 name: versions[name] for name in ("karolos", "python", "numpy", "mujoco-core") if name in versions
@@ -174,13 +179,13 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
     say(f"{out} goes on after {len(recording.played())} episodes")
 
 
-def _orchestrator(spec: Spec, films: Path | None, about: dict[str, Any], *, expert: bool, randomize: bool) -> Any:
+def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[str, Any], *, expert: bool) -> Any:
     """The spec's environments, filmed or not; with the expert's actions at the end of observations."""
     from karolos.environments.build import build_environment
     from karolos.recordings.playing import build_with_expert
     from karolos.registry import load
 
-    part, recipe, cameras = spec.orchestrator, spec.recipe(randomize=randomize), about.get("cameras", {})
+    part, cameras = spec.orchestrator, about.get("cameras", {})
     build: Any = partial(build_with_expert if expert else build_environment, recipe)
     if films:
         from karolos.recordings.cameras import build_filmed

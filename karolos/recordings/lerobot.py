@@ -7,6 +7,7 @@ the numbers mean, and the true rate where it is no whole number, stand under the
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
@@ -80,7 +81,7 @@ def write_lerobot(
         about: what the numbers mean, see `recording.describe`; `cameras` has the size of each film's pictures.
         recordings: in their order; one is in memory at a time.
         task: what the robot does, in words.
-        films: folder with SEED-CAMERA.mp4 of each episode, which are moved into the dataset.
+        films: folder with SEED-CAMERA.mp4 of each episode, which are copied into the dataset.
 
     Raises:
         MachineError: pyarrow is missing, or the folder cannot be written.
@@ -136,7 +137,7 @@ def _write(
             video = {"chunk_index": place // FILES_PER_CHUNK, "file_index": place % FILES_PER_CHUNK}
             target = path / VIDEO.format(video_key=f"observation.images.{camera}", **video)
             target.parent.mkdir(parents=True, exist_ok=True)
-            system.replace(films / f"{recording.seed}-{camera}.mp4", target)
+            shutil.copyfile(films / f"{recording.seed}-{camera}.mp4", target)
             at = {**video, "from_timestamp": 0.0, "to_timestamp": recording.steps / fps}
             row |= {f"videos/observation.images.{camera}/{key}": value for key, value in at.items()}
         episodes.append(row)

@@ -36,7 +36,7 @@ def test_every_bad_override_is_told_after_the_file(tmp_path):
 
 def test_all_mistakes_are_told_in_the_order_of_the_file(tmp_path):
     text = "robot: {name: arm, stp: 1}\ntask: reech\nagent: {name: learner, discount: 2}\n"
-    text += "training: {steps: 0}\nseed: [1]\n"
+    text += "training: {steps: -1}\nseed: [1]\n"
     found = problems_of(write(tmp_path, "s.yaml", text))
     assert [line.split(": ")[1] for line in found] == [
         "robot.stp", "task.name", "agent.discount", "training.steps", "seed",

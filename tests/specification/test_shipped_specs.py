@@ -197,7 +197,7 @@ def test_good_specs_fit_the_schema(fake_plugins, text):
         "robot: arm\ntask: reach\nagent: {name: learner, discont: 1}",
         "robot: arm\ntask: reach\nagent: {name: latest, discount: 0.5}",
         "robot: {name: arm, control: jiont}\ntask: reach\nagent: learner",
-        "robot: arm\ntask: reach\nagent: learner\ntraining: {steps: 0}",
+        "robot: arm\ntask: reach\nagent: learner\ntraining: {steps: -1}",
         "robot: arm\ntask: reach\nagent: learner\nrandomization: {gravity: {name: normal, mean: 1, std: 1}}",
         "robot: arm\ntask: reach\nagent: learner\nname: ../x",
         "robot: arm\ntask: reach\nagent: learner\nsweep: {trails: 3}",
