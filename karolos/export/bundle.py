@@ -66,9 +66,14 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
         if not isinstance(environment, RobotTask) or not isinstance(environment.robot, Arm):
             hint = "leave out --bundle"
             raise UsageError("a bundle is for a policy that moves an arm", where=folder.id, hint=hint)
-        if environment.settings.actions == "discrete" or arm_of(environment).settings.stiffness_range is not None:
-            what = "discrete actions and actions that choose a stiffness are not possible in a bundle"
-            raise UsageError(what, where=folder.id, hint="leave out --bundle")
+        settings = arm_of(environment).settings
+        for name, found in (
+            ("discrete actions", environment.settings.actions == "discrete"),
+            ("actions that choose a stiffness", settings.stiffness_range is not None),
+            ("a release within a control step (robot.timed_release)", settings.timed_release),
+        ):
+            if found:
+                raise UsageError(f"a bundle cannot have {name}", where=folder.id, hint="leave out --bundle")
         _make_room(out)
         done = export_policy(folder, out, checkpoint=checkpoint, onnx=True)
         contract = describe(folder, saved, environment)
@@ -84,7 +89,9 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
             write_json(out / "spec.json", saved.spec.dump())
             write_json(out / "run.json", folder.description())
             write_yaml(out / "policy.yaml", leapp(out, contract))
-            (out / "README.md").write_text(page(contract, environment), encoding="utf-8")
+            (out / "README.md").write_text(
+                page(contract, environment, film=(out / "film.mp4").is_file()), encoding="utf-8"
+            )
             write_sums(out)
     Bundle(out).replay_episode()
     return Exported(out, tuple(sorted(out.iterdir())), done.checkpoint, done.steps, done.error)

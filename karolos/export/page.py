@@ -111,8 +111,8 @@ Not randomized: {not_randomized}.
 """
 
 
-def page(contract: dict[str, Any], environment: RobotTask) -> str:
-    """The page of a bundle, as Markdown."""
+def page(contract: dict[str, Any], environment: RobotTask, *, film: bool) -> str:
+    """The page of a bundle, as Markdown. `film`: whether it has a film."""
     run, robot, control, limits = (contract[name] for name in ("run", "robot", "control", "limits"))
     document = type(environment.task).__doc__ or ""
     joints = contract["joints"]
@@ -131,7 +131,7 @@ def page(contract: dict[str, Any], environment: RobotTask) -> str:
         rate=control["rate"],
         late=1000 * limits["late"],
         episode=contract["episode"]["steps"],
-        film="film.mp4, where pictures could be drawn",
+        film="film.mp4" if film else "none: no pictures could be drawn where the bundle was written",
         task="\n\n".join(sections),
         base=_numbers(contract["kinematics"]["base"]),
         joints=len(joints),

@@ -99,6 +99,8 @@ def test_from_the_page_alone_a_reading_becomes_the_observation_and_the_recorded_
 def test_what_is_no_arm_and_folders_of_others_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="moves an arm"):
         export_bundle(trained("sac"), tmp_path / "out", checkpoint="last")
+    with pytest.raises(UsageError, match="a release within a control step"):
+        export_bundle(RunFolder.open(FOLDER / "ur5_throw"), tmp_path / "out")
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(UsageError, match=r"holds thesis\.tex"):
         export_bundle(RunFolder.open(FOLDER / "ur5_reach"), tmp_path)

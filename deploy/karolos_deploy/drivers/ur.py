@@ -173,16 +173,21 @@ class UR(Driver):
     def send(self, point: SetPoint) -> None:
         if point.opening is not None:
             self._wanted = round(255 * (1 - point.opening))
-        if point.positions is not None and point.velocities is not None:
-            cycle = 1 / self.rate
-            lookahead, gain = self.number("lookahead"), self.number("gain")
-            ahead = point.positions + lookahead * point.velocities  # the joints follow as much later
-            done = self._control.servoJ(ahead.tolist(), 0.0, 0.0, cycle, lookahead, gain)
-        else:
-            done = self._press(point)
+        try:
+            done = self._press(point) if point.positions is None else self._follow(point)
+        except RuntimeError as error:  # the client tried to connect again
+            raise Fault("connection lost", str(error).splitlines()[0]) from None
         if not done:
             self.read()  # says why, if the robot knows
             raise Fault("refused", "the controller took no set point")
+
+    def _follow(self, point: SetPoint) -> bool:
+        """Have the joints follow."""
+        assert point.positions is not None
+        assert point.velocities is not None
+        lookahead, gain = self.number("lookahead"), self.number("gain")
+        ahead = point.positions + lookahead * point.velocities  # the joints follow as much later
+        return bool(self._control.servoJ(ahead.tolist(), 0.0, 0.0, 1 / self.rate, lookahead, gain))
 
     def _press(self, point: SetPoint) -> bool:
         """Have the tool press with what a spring at the tool would."""
