@@ -96,11 +96,15 @@ class Replay(Buffer):
 
         All while only demonstrations are stored. Raises RunError while the buffer is empty.
         """
-        if not len(self):
-            raise RunError("the buffer is empty", setting="buffer", hint="add transitions before sampling")
+        self._require_transitions()
         if self._share is None or not self.storage.demonstrations:
             return None
         return size if self.storage.demonstrations == len(self.storage) else round(self._share * size)
+
+    def _require_transitions(self) -> None:
+        """Raise a RunError while the buffer is empty. Buffers of plugins call it, too."""
+        if not len(self):
+            raise RunError("the buffer is empty", setting="buffer", hint="add transitions before sampling")
 
     def _batch(self, slots: Slots, weights: FloatArray, identifiers: Slots) -> Batch:
         """The transitions at these slots as a batch, partly with new goals; the next call overwrites the arrays.

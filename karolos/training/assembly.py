@@ -16,6 +16,7 @@ from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, random_acti
 from ..core.experience import transition_layout
 from ..environments.build import build_environment, is_setting
 from ..errors import KarolosError, PluginError, UsageError, WorkerError, described
+from ..orchestrator.local import Local
 from ..registry import blaming, find, load
 from ..specification import Part, Spec
 from ..specification.parts import Recipe
@@ -313,10 +314,9 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
     parts = filter(None, (recipe.environment, recipe.robot, recipe.task))
     if all(find(one.kind, one.name).distribution == "karolos" and one.name != "gymnasium" for one in parts):
         processes = 0  # our own code does not end its process
-    local = load("orchestrators", "local")
-    settings = local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
+    settings = Local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
     try:
-        with local(settings, partial(build_environment, recipe)) as environments:
+        with Local(settings, partial(build_environment, recipe)) as environments:
             for seed in range(episodes):
                 environments.reset([0], [seed])
                 count = 0 if seed else STEPS
@@ -327,8 +327,7 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
                     if action is None or step.terminated[0] or step.truncated[0]:
                         break
                     environments.step([0], action[None])
-            signature: Signature = environments.signature
-            return signature
+            return environments.signature
     except KarolosError as error:
         if error.setting is not None:
             raise

@@ -97,14 +97,14 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
     entries = "  - fast.yaml\n  - none.yaml\n  - {spec: slow.yaml, overrides: {agent.learning_rate: fast}}\n"
     Path("mine.yaml").write_text(f"specs:\n{entries}  - slow.yaml\n  - slow.yaml\n")
     with pytest.raises(SpecError) as refused:
-        load_suite("mine.yaml", ["training.steps=0"])
+        load_suite("mine.yaml", ["training.steps=-1"])
     found = [str(problem).split(": ")[:2] for problem in refused.value.problems]
     assert found == [
         ["fast.yaml:3:20", "agent.discont"],
         ["mine.yaml:3:5", "specs"],
         ["mine.yaml:4:56", "agent.learning_rate"],
         ["mine.yaml:6:5", "specs[4]"],
-        ["override training.steps=0", "training.steps"],
+        ["override training.steps=-1", "training.steps"],
     ]
     Path("mine.yaml").write_text("specs:\n  - {spec: slow.yaml, steps: 4}\nmeasure: [x]\n")
     with pytest.raises(SpecError) as refused:

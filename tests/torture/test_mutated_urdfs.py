@@ -24,9 +24,9 @@ from support.torture import SEED, TIMES
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError
-from karolos.plugins import poses
 from karolos.plugins.starter import write_starter
 from karolos.registry import load
+from karolos.robots import poses
 from karolos.robots.arm import Arm, ArmSettings
 from karolos.simulation.engines import ENGINES, make_world
 from karolos.simulation.interface import Camera, TaskNeeds

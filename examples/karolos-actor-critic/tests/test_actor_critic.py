@@ -1,5 +1,7 @@
 """What is asked of `actor_critic`: that it is found, what every agent promises, and that it learns."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 import pytest

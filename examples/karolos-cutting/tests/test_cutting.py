@@ -1,5 +1,7 @@
 """The cutting environment: its rewards, its errors, and that observations hold nothing hidden."""
 
+from __future__ import annotations
+
 from itertools import product
 
 import numpy as np

@@ -1,5 +1,7 @@
 """Tests of `desk_arm`: its entry point and the promises of every robot with every task."""
 
+from __future__ import annotations
+
 from karolos.plugins.contracts import check
 from karolos.registry import find
 
