@@ -208,7 +208,7 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
     """Write the page of a robot's scores; the names of tasks lead to the films beside it. Raises MachineError."""
     done = [one for one in scores if one.success is not None]
-    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks above .9, nothing trained"
+    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks surely above 90 %, nothing trained"
     table, notes = scores_table(scores), [f"{cause}: {what}" for cause, what in CAUSES.items()]
     notes.append("in brackets the 95 % Wilson interval; a failure counts under the first cause that applies")
     sections = [
