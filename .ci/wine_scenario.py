@@ -12,6 +12,7 @@ import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 import urllib.request
 from collections.abc import Callable
@@ -35,22 +36,23 @@ def wine(*words: str) -> list[str]:
 def karolos(*words: str, expected: int = 0) -> str:
     print(f"\n> karolos {' '.join(words)}", flush=True)
     started = time.monotonic()
-    done = subprocess.run(
-        wine("-m", "karolos_cli", *words),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        encoding="utf-8",
-        errors="replace",
-        timeout=SECONDS,
-        check=False,
-    )
-    lines = [line.rstrip() for line in done.stdout.splitlines() if not NOISE.search(line)]
+    with tempfile.TemporaryFile() as told:  # a pipe would stay open as long as a detached run holds it
+        done = subprocess.run(
+            wine("-m", "karolos_cli", *words),
+            stdin=subprocess.DEVNULL,
+            stdout=told,
+            stderr=subprocess.STDOUT,
+            timeout=SECONDS,
+            check=False,
+        )
+        told.seek(0)
+        text = told.read().decode("utf-8", "replace")
+    lines = [line.rstrip() for line in text.splitlines() if not NOISE.search(line)]
     print("\n".join(lines[-8:]))
     print(f"exit code {done.returncode}, {time.monotonic() - started:.0f} s", flush=True)
     if done.returncode != expected:
         failed.append(" ".join(words))
-    return done.stdout
+    return text
 
 
 def run_of(runs: str, name: str, seed: int = 0) -> Path:
@@ -108,7 +110,7 @@ def detach_and_stop() -> None:
     karolos("run", "karolos:smoke/panda_reach", "training.steps=30000", "--detach", "--runs", "d")
     states = (WORK / "d").glob
     end = time.monotonic() + SECONDS
-    while not any('"running"' in path.read_text("utf-8") for path in states("*/state.json")) and time.monotonic() < end:
+    while all('"created"' in path.read_text("utf-8") for path in states("*/state.json")) and time.monotonic() < end:
         time.sleep(0.5)
     run = run_of("d", "panda_reach")
     karolos("runs", "stop", run.name, "--runs", "d")
