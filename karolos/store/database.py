@@ -112,7 +112,10 @@ class Database:
         self.engine.dispose()
 
     def version(self) -> bytes:
-        """Changes with every transaction that writes, and always where that cannot be told. SQLite needs no query."""
+        """Changes with every transaction that writes, and always where that cannot be told. SQLite needs no query.
+
+        PostgreSQL counts the transactions of a whole server: writes to its other databases change it, too.
+        """
         if self.engine.dialect.name == "postgresql":
             with self.reading() as connection:
                 return str(connection.exec_driver_sql("SELECT pg_current_snapshot()::text").scalar()).encode()
