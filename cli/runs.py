@@ -24,6 +24,7 @@ from karolos.report.tables import (
     run_facts,
     runs_table,
     settings_table,
+    stages_table,
     transfers_table,
 )
 
@@ -229,12 +230,14 @@ def show(
     final: Mapping[str, Evaluation] = {}
     transfers: Sequence[Evaluation] = ()
     checkpoints: Sequence[Mapping[str, Any]] = ()
+    stages: Mapping[str, tuple[int, int]] = {}
     with open_store(runs, database) or nullcontext() as store:
         summary = find_meant(run, store, runs)
         if os.path.isdir(summary.folder):
             folder = RunFolder.open(summary.folder)
             record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
             transfers, unreadable = folder.transfers()
+            stages = folder.stages()
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
         else:
@@ -244,6 +247,7 @@ def show(
     if json:
         row = _show_row(record.summary, tests, final)
         about = {key: about[key] for key in ("versions", "machine", "command", "git") if key in about}
+        row["stages"] = {stage: {"episodes": n, "success_end": ended / n} for stage, (n, ended) in stages.items()}
         row |= {"transfers": [one.changed_row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
         print_rows([row | {"spec": record.spec, **about}], json=True)
         return
@@ -252,6 +256,8 @@ def show(
         facts_table(run_facts(record.summary, about if everything else {}, checkpoints if everything else None))
     )
     _print_results(tests, final, every=everything)
+    if stages:
+        print_table(stages_table(stages, title="the last training episodes, by the stage that they began in"))
     if transfers:
         print_table(transfers_table(transfers, title="tests under changed settings"))
     title = "spec" if changed is None else "settings that are not defaults"

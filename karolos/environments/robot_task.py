@@ -25,6 +25,8 @@ TIME_TO_SUCCESS = Measure(
     "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"
 )
 FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orientation at the end of the episode")
+STAGE = "task.start_"
+"""What the names of parameters begin with that are probabilities of stages to begin in."""
 FORCE_COLOUR = (0.84, 0.1, 0.5, 1.0)
 LEAST_SHOWN, LONGEST_SHOWN, LENGTH_OF_FORCE = 1.0, 20.0, 0.25
 """Forces in N from which on a picture has an arrow and from which on it is no longer, and this length as a fraction of
@@ -154,6 +156,9 @@ class RobotTask(Environment):
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:
         """Set the parameters that each reset samples ("task.gravity"). Raises UsageError for undeclared ones."""
         self._randomization = Randomization(distributions, self.declared)
+        names = self._randomization.layout.names
+        self._stages = {name.removeprefix(STAGE): k for k, name in enumerate(names) if name.startswith(STAGE)}
+        """Stage to begin in -> column of its probability among the parameters."""
         self.signature = replace(self.signature, parameters=self._randomization.layout)
 
     @property
@@ -307,7 +312,11 @@ class RobotTask(Environment):
         return expert
 
     def parameters(self) -> FloatArray:
-        return np.array(self._drawn, np.float32)
+        """The drawn values; for the probability of a stage to begin in, 1 if the episode began in it, or 0."""
+        drawn = np.array(self._drawn, np.float32)
+        for stage, column in self._stages.items():
+            drawn[column] = stage == self.task.stage
+        return drawn
 
     def measures(self) -> FloatArray:
         values: dict[str, Any] = {}

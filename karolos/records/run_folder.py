@@ -24,6 +24,7 @@ from ..files import (
     append_lines,
     copy_named,
     locked,
+    new_lines,
     parse_object,
     read_lines,
     read_values,
@@ -53,6 +54,10 @@ LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
 ROBOT = "robot"
+STAGE = "task.start_"
+"""What the names of parameters begin with that say whether a training episode began in a stage."""
+STAGE_EPISODES, EPISODE_BYTES = 500, 1000
+"""Training episodes that the success by stage is of, and the largest usual length of a line of one."""
 """Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
@@ -301,6 +306,22 @@ class RunFolder:
     def add_episodes(self, episodes: Iterable[Mapping[str, Any]]) -> None:
         """Append the records of training episodes, JSON values each."""
         append_lines(self.path / "episodes.jsonl", episodes)
+
+    def stages(self, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
+        """Of the last training episodes: stage that they began in -> how many did, and how many of these succeeded.
+
+        "start" are those that began as tests do. Empty where a spec lets none begin further on.
+        """
+        found: dict[str, tuple[int, int]] = {}
+        start = self.episodes_bytes() - episodes * EPISODE_BYTES
+        for row in new_lines(self.path / "episodes.jsonl", max(start, 0))[0][-episodes:]:
+            chances = {name: drawn for name, drawn in row.get("parameters", {}).items() if name.startswith(STAGE)}
+            if not chances or not {0.0, 1.0}.issuperset(chances.values()):
+                return {}  # version 0.2 recorded the probabilities
+            stage = next((name.removeprefix(STAGE) for name, drawn in chances.items() if drawn), "start")
+            played, succeeded = found.get(stage, (0, 0))
+            found[stage] = played + 1, succeeded + row["end"]
+        return found
 
     def episodes_bytes(self) -> int:
         """Size of episodes.jsonl, for `cut_episodes` when the run is resumed."""

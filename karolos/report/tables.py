@@ -301,6 +301,12 @@ def transfers_table(transfers: Iterable[Evaluation], *, title: str = "") -> Tabl
     return Table.of(list(transfers), columns, title)
 
 
+def stages_table(stages: Mapping[str, tuple[int, int]], *, title: str = "") -> Table:
+    """One row per stage that training episodes began in; what `RunFolder.stages` returns."""
+    rows = [(stage, count(played), success(ended / played, played)) for stage, (played, ended) in stages.items()]
+    return Table(["began", "episodes", "success end"], rows, title)
+
+
 def facts_table(facts: Mapping[str, object], *, title: str = "") -> Table:
     """Names and their values, one per line; a value None is left out."""
     return Table(("", ""), [(name, str(value)) for name, value in facts.items() if value is not None], title)

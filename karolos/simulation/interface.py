@@ -633,6 +633,8 @@ class Task(ABC):
     """As the spec has them."""
     drawn: Any
     """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
+    stage: str | None = None
+    """The stage that the running episode began in, of those whose probabilities the settings `start_STAGE` are."""
     uses_gripper: ClassVar[GripperUse]
     """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": it stays
     closed around what the task puts between its fingers, and no action opens it."""

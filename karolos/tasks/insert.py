@@ -218,7 +218,7 @@ class Insert(Task):
         turn *= HOLE_TURN
         along, up, tilt = (generator.uniform(-1, 1, 3) * (HAND_OFFSET, HAND_OFFSET, HAND_TILT)).tolist()
         aside, height = generator.uniform(-1, 1, 3).tolist(), generator.uniform()
-        stage = drawn_stage(self.drawn, generator.uniform(), "inserted", "near")
+        stage = self.stage = drawn_stage(self.drawn, generator.uniform(), "inserted", "near")
         if stage == "inserted":
             tilt, turned, room = 0.0, turn, 0.4 * settings.play
             tip = room * aside[0], room * aside[1], -DEPTH * height

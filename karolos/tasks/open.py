@@ -201,7 +201,8 @@ class Open(Task):
         while abs(goal - begin) < self.goal_rule.threshold:
             goal = generator.uniform(0.0, self.range)
         self.piece.place_joint("front", begin)
-        stage, above = drawn_stage(self.drawn, generator.uniform(), "hooked", "near"), generator.uniform(0.0, NEAR)
+        stage = self.stage = drawn_stage(self.drawn, generator.uniform(), "hooked", "near")
+        above = generator.uniform(0.0, NEAR)
         x, y, z = self.handle_at(begin)
         if stage:
             self._robot.place_tool((x, y, z + above * (stage == "near")), 0.0)

@@ -110,8 +110,8 @@ class PickPlace(PointGoalTask, CarryTask):
 
     def reset(self, generator: Generator) -> None:
         x, y, z = sample_position(generator, self.ground, "the cube").tolist()
-        stage = drawn_stage(self.drawn, generator.uniform(), "grasped", "near")
-        self._begin(self.cube, (x, y, z), stage, generator)
+        self.stage = drawn_stage(self.drawn, generator.uniform(), "grasped", "near")
+        self._begin(self.cube, (x, y, z), self.stage, generator)
         self._sample_goal(generator, self.air if generator.uniform() < AIR_PROBABILITY else self.ground)
 
     def achieved(self) -> FloatArray:

@@ -57,7 +57,8 @@ class Push(PointGoalTask, CubeTask):
 
     def reset(self, generator: Generator) -> None:
         position: Vector = tuple(sample_position(generator, self.ground, "the cube").tolist())
-        if drawn_stage(self.drawn, generator.uniform(), "near"):
+        self.stage = drawn_stage(self.drawn, generator.uniform(), "near")
+        if self.stage:
             self.cube.place_with_tool(self._robot, position, near_start(self._robot, position, generator), 0.0)
         else:
             self.cube.place(position, aligned(self._robot))

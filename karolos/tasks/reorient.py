@@ -201,7 +201,7 @@ class Reorient(CubeTask):
         def turned(tool: Quaternion) -> Quaternion:
             return multiply(multiply(tool, inverse(middle)), held)
 
-        stage = drawn_stage(self.drawn, generator.uniform(), "carried", "grasped", "over", "near")
+        stage = self.stage = drawn_stage(self.drawn, generator.uniform(), "carried", "grasped", "over", "near")
         (x, y, z), tool = pose(air=stage == "carried")
         orientation = turned(tool)
         above, opening = GRIP_HEIGHT, piece.width / self.gripper.width

@@ -192,7 +192,8 @@ class Slide(CubeTask):
 
     def reset(self, generator: Generator) -> None:
         x, y, z = sample_position(generator, self.starts, "the puck").tolist()
-        if drawn_stage(self.drawn, generator.uniform(), "near"):
+        self.stage = drawn_stage(self.drawn, generator.uniform(), "near")
+        if self.stage:
             behind = atan2(-self.ahead[1], -self.ahead[0])
             tool = near_start(self._robot, (x, y, z), generator, (behind - BEHIND, behind + BEHIND))
             self.cube.place_with_tool(self._robot, (x, y, z), tool, 0.0)

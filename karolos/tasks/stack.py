@@ -105,7 +105,8 @@ class Stack(CarryTask):
         places[:standing] = [(x, y, z + k * edge) for k in range(standing)]
         for cube, place in zip(self.cubes, places, strict=True):
             cube.place(place, aligned(robot))
-        stage, cube = drawn_stage(self.drawn, generator.uniform(), "above", "grasped", "near"), self.cubes[standing]
+        stage = self.stage = drawn_stage(self.drawn, generator.uniform(), "above", "grasped", "near")
+        cube = self.cubes[standing]
         if stage == "above":
             stage, places[standing] = "grasped", (x, y, z + standing * edge + ABOVE * generator.uniform())
         self._begin(cube, places[standing], stage, generator)

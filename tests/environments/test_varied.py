@@ -88,6 +88,11 @@ def test_the_expert_is_that_of_the_episode() -> None:
 def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
     made = build({"task.start_near": values(0.0, 1.0)})
     assert isinstance(made, RobotTask)
+    recorded = set()
+    for seed in range(12):
+        made.reset(seed)
+        recorded |= set(made.parameters().tolist())
+    assert recorded == {0.0, 1.0}, "whether the episode began there, not how probable that was"
 
 
 @pytest.mark.parametrize(

@@ -230,3 +230,15 @@ def test_timestamps_sort_like_times(first: datetime, later: timedelta, hours: in
     theirs = ours.astimezone(UTC) + abs(later) % timedelta(days=9000)
     assert (timestamp(ours) < timestamp(theirs)) == (ours < theirs)
     assert (timestamp(ours) == timestamp(theirs)) == (ours == theirs)
+
+
+def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(tmp_path: Path) -> None:
+    run = new_run(tmp_path)
+    assert run.stages() == {}
+    begun = [(1.0, 0.0, True), (0.0, 1.0, False), (0.0, 0.0, True), (1.0, 0.0, False)] * 3
+    names = "task.start_grasped", "task.start_near"
+    rows = [{"end": end, "parameters": dict(zip(names, drawn, strict=True)) | {"x": 3.0}} for *drawn, end in begun]
+    run.add_episodes(rows)
+    assert run.stages(4) == {"grasped": (2, 1), "near": (1, 0), "start": (1, 1)}
+    run.add_episodes([{"end": True, "parameters": {"task.start_near": 0.6}}])
+    assert run.stages() == {}, "version 0.2 recorded the probability"
