@@ -37,7 +37,7 @@ TINY = [*FEW, "--quiet", "--jobs", "1"]
 SMALL_FILM = ["--width", "64", "--height", "48"]
 SMALLER = {
     "sweep": [*TINY, "task.max_steps=10", "sweep.final=null", "sweep.seeds=[0]", "--trials", "1"],
-    "test": ["--episodes", "2"],
+    "test": ["--episodes", "2", "orchestrator.processes=0", "orchestrator.environments=2"],
     "play": ["--episodes", "1", *SMALL_FILM],
     "inspect": SMALL_FILM,
 }
@@ -69,6 +69,8 @@ def shrunk(words: list[str]) -> list[str]:
     """A karolos command at toy size."""
     if words[0] == "resume":
         return [re.sub(STEPS, "training.steps=80", word) for word in words]
+    if words[0] == "compare" and "figures" in words and "--figure" not in words:
+        return [*words, "--figure", "steps"]  # tests/report draws all of them
     if words[0] != "run":
         return [*words, *SMALLER.get(words[0], [])]
     spec = load_spec(words[1], [word for word in words[2:] if "=" in word and not word.startswith("-")])

@@ -112,7 +112,10 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engine: str, tmp_path: Path) -> None:
+def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(
+    engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.experiment.cores", lambda: 1)  # test_pending_tests has a process for tests
     spec = BASE | {
         "environment": {"name": "robot_task", "engine": engine},
         "robot": "panda",
