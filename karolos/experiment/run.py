@@ -21,7 +21,7 @@ from ..records.evaluation import Evaluation
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
-from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator
+from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator, use_threads
 from ..training.collecting import Episode
 from ..training.demonstrations import collect_demonstrations
 from ..training.training import Training
@@ -97,10 +97,8 @@ class Run:
 
     def _train(self) -> Ending:
         """Build everything, train and test."""
-        from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
-
         spec, seeds = self.spec, SeedTree(self.seed)
-        use_threads(spec.training.threads or 1)
+        use_threads(spec)
         with ExitStack() as stack:
             self._points = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
             stack.callback(self._points.close)

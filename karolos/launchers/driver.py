@@ -15,7 +15,6 @@ from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest
 from ..experiment.tracking import Tracking
 from ..files import read_object, write_whole
-from ..registry import load
 from ..specification import Spec
 from .interface import LAUNCH, STOP, Ended, Launcher
 from .local import LocalLauncher
@@ -27,7 +26,7 @@ def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
         raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
     if spec.launcher is None:
         return LocalLauncher(LocalLauncher.Settings(), jobs)
-    launcher: Launcher = load("launchers", spec.launcher.name)(spec.launcher.settings, jobs)
+    launcher: Launcher = spec.launcher.make(jobs)
     return launcher
 
 

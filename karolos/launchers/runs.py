@@ -70,6 +70,10 @@ class Home:
         prepare_index(home.runs, home.url)  # before anything is computed
         return home.of(spec)
 
+    def store(self) -> Store:
+        """The results database, to be closed."""
+        return Store(self.url)
+
     def of(self, spec: Spec) -> Home:
         """The same home for the runs of another spec."""
         remove_lost_leftovers(self.runs, f"{spec.name}-*")

@@ -52,6 +52,15 @@ class Part:
             raise ValidationError.from_exception_data("Part", errors)
         return cls(kind, name, settings)
 
+    @property
+    def plugin(self) -> Any:
+        """The plugin's class. Raises as `registry.load`."""
+        return load(self.kind, self.name)
+
+    def make(self, *given: Any, **more: Any) -> Any:
+        """An instance of the plugin: its class is called with the settings and with what is given besides."""
+        return self.plugin(self.settings, *given, **more)
+
     def dump(self, *, changed: bool = False, given: bool = False) -> dict[str, Any]:
         """Name and all settings as in a spec, or only those that are no defaults, or that were given; JSON-able."""
         settings: BaseModel = self.settings
