@@ -26,7 +26,7 @@ from ..training.collecting import Episode
 from ..training.demonstrations import collect_demonstrations
 from ..training.training import Training
 from .checkpointer import BEST, Checkpointer
-from .events import Announcer, Listener, RunEnded, RunFinalTested, RunStarted, RunTested
+from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError
@@ -69,8 +69,7 @@ class Run:
 
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
-        self._announcer = Announcer(self.folder.id, self.listener)
-        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending, self._announcer.announce)
+        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending)
 
     def execute(self) -> RunSummary:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
@@ -112,9 +111,8 @@ class Run:
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
-            announce = self._announcer.announce
-            self._announcer.write = lambda: self._writer.write_progress(training)
-            tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
+            self._writer.training = training
+            tests = PendingTests(spec, training, self._pending, self._writer, self.stop, beside=self.beside)
             stack.callback(tests.close)
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
@@ -159,12 +157,12 @@ class Run:
 
         def on_step(episodes: int) -> None:
             self.stop.check()
-            self._announcer.announce("collecting demonstrations", episodes, settings.episodes)
+            self._writer.announce("collecting demonstrations", episodes, settings.episodes)
 
         recipe = self.spec.recipe(randomize=True)
         with self.stop.at_once():
             demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
-        self._announcer.announce("collecting demonstrations", settings.episodes, settings.episodes)
+        self._writer.announce("collecting demonstrations", settings.episodes, settings.episodes)
         training.buffer.add_demonstrations(demonstrations.episodes, settings.share)
         training.seconds += demonstrations.seconds
         self.folder.event(
@@ -201,7 +199,7 @@ class Run:
             diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
-            self._announcer.progressed(progress, last=training.over)
+            self._writer.progressed(progress, last=training.over)
             testing = test_due(progress.steps) or training.over
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)

@@ -29,11 +29,10 @@ from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import RunEvent
 from ..experiment.resume import find_run
 from ..experiment.start_from import check_agents, pinned
-from ..files import append_lines, read_lines, write_json
+from ..files import append_lines, read_lines
 from ..launchers.driver import FolderTask, Job
-from ..launchers.interface import LAUNCH, STOP
 from ..launchers.runs import RunJob
-from ..records import RunFolder, checkpoint, provenance, scan
+from ..records import RunFolder, checkpoint, scan
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict, spec_of_variant
@@ -282,8 +281,6 @@ class ZeroShotTask(FolderTask):
     @override
     def begin(self) -> Path:
         self.test.write(self.folder)
-        system.remove(self.folder / STOP, missing_ok=True)  # of an earlier process
-        write_json(self.folder / LAUNCH, provenance.software())
         return self.folder
 
     @override
