@@ -158,7 +158,7 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
             "versions": {
                 name: versions[name] for name in ("karolos", "python", "numpy", "mujoco-core") if name in versions
             },
-            "commit": code.commit + (" and uncommitted changes" if code.dirty else "") if code else None,
+            "commit": code[0]["commit"] + (" and uncommitted changes" if code[0]["dirty"] else "") if code else None,
         },
     )
 

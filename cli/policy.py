@@ -211,7 +211,6 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     from karolos.evaluation.policies import load_expert
     from karolos.report.tables import heading
     from karolos.specification import load_spec
-    from karolos.statistics.intervals import wilson
 
     spec = load_spec(path, overrides)
     testing = spec.testing
@@ -220,7 +219,7 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     first, count = FirstSuccesses(), episodes or testing.final_count or testing.episodes
     with used(environment):
         found = evaluate(environment, policy, episodes=count, seed=seed, heard=first)
-    low, high = wilson(found.successes_end or 0, found.episodes)
+    low, high = found.interval(found.successes_end or 0)
     row = {"spec": spec.name, "policy": "expert", "seed": seed, "episodes": found.episodes}
     row |= {"success_any": found.success_any, "success_end": found.success_end, "low": low, "high": high}
     row |= {"steps": first.mean, "measures": found.counts.measures}

@@ -292,12 +292,7 @@ def run_or_resume(
 ) -> RunSummary:
     """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
 
-    Args:
-        folder: of the run, locked.
-        url: SQLAlchemy URL of the results database; None: another process indexes the run.
-        listener: is called with every RunEvent.
-        stop: is checked after each round.
-        beside: whether a second process may play tests during training.
+    Arguments are those of `Run`.
 
     Raises:
         RunError: no checkpoint can be used, or a file that the spec names was changed.

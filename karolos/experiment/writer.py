@@ -12,7 +12,7 @@ from ..core import Failure
 from ..errors import KarolosError, MachineError, StoreError
 from ..records import RunFolder, provenance
 from ..records.evaluation import Evaluation
-from ..records.run_records import State
+from ..records.run_records import StateName
 from ..store import Store
 from ..training.collecting import Episode
 from ..training.training import Progress, Training
@@ -36,7 +36,7 @@ def index_run(url: str | None, folder: RunFolder) -> None:
 class Ending:
     """How a run ended."""
 
-    state: State
+    state: StateName
     """finished, stopped or failed."""
     amounts: Mapping[str, Any] = field(default_factory=dict)
     """Steps, seconds and updates of training; empty if training broke off."""
@@ -169,7 +169,7 @@ class RunWriter:
         details = {"steps": ending.amounts.get("steps"), "reason": ending.reason}
         self.folder.event(ending.state, **{key: value for key, value in details.items() if value is not None})
 
-    def _set_state(self, state: State, **more: Any) -> None:
+    def _set_state(self, state: StateName, **more: Any) -> None:
         self.folder.set_state(state, **more)
         with self.tolerated(StoreError, "the run continues; its folder is complete"):
             index_run(self.url, self.folder)

@@ -44,7 +44,7 @@ from .run_records import (
     RunRecord,
     RunState,
     RunSummary,
-    State,
+    StateName,
     part_name,
     timestamp,
 )
@@ -163,11 +163,11 @@ class RunFolder:
             files: `Spec.files`.
         """
         unread: list[str] = []
-        code = provenance.code(source or Path.cwd())
+        git, diff = provenance.code(source or Path.cwd()) or (None, "")
         if text is not None:
             write_whole(self.path / "spec.yaml", redact(text))
-        if code and code.diff:
-            write_whole(self.path / "code.diff", code.diff)
+        if diff:
+            write_whole(self.path / "code.diff", diff)
         write_json(self.path / "resolved.json", resolved)
         robot = resolved.get("robot") or {}
         if os.path.isfile(robot.get("file") or ""):
@@ -182,7 +182,7 @@ class RunFolder:
             "files": files,
             "machine": provenance.kind_of_machine(),
             "command": provenance.command_line(),
-            "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
+            "git": git,
         }
         self._run |= {} if continued_from is None else {"continued_from": continued_from}
         self._write_state(RunState("created"))
@@ -213,7 +213,7 @@ class RunFolder:
             robot["file"] = str(copies[0].absolute()) if copies else file
         return spec
 
-    def set_state(self, state: State, *, error: str | None = None, **amounts: Any) -> None:
+    def set_state(self, state: StateName, *, error: str | None = None, **amounts: Any) -> None:
         """Replace the state by any but lost, and the error: why it failed, in one line.
 
         `amounts` are steps, seconds and updates of training so far; what is not given keeps its value.
