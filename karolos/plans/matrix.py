@@ -10,7 +10,7 @@ runs/transfers/<name>/ holds what no run holds:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -19,12 +19,10 @@ from pathlib import Path
 from typing_extensions import override
 
 from .. import system
-from ..core import Environment
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import opened
 from ..errors import RunError, UsageError
-from ..evaluation.playing import evaluate
-from ..evaluation.policies import Policy, expert_policy, random_policy, signature_of
+from ..evaluation.playing import evaluate_alone
+from ..evaluation.policies import expert_policy, random_policy, signature_of
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import RunEvent
 from ..experiment.resume import find_run
@@ -324,17 +322,11 @@ def measure_baselines(spec: Spec, path: Path) -> Baselines:
     for row in read_lines(path).rows:
         if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:
             return known
-    floor = _evaluate(spec, random_policy, episodes)
+    seed = spec.testing.final_seed
+    floor = evaluate_alone(spec, lambda one: random_policy(one, seed), episodes=episodes, seed=seed).counts
     try:
-        ceiling = _evaluate(spec, lambda environment, _: expert_policy(environment), episodes)
+        ceiling = evaluate_alone(spec, expert_policy, episodes=episodes, seed=seed).counts
     except UsageError:  # there is no expert
         ceiling = None
     append_lines(path, [key | {"floor": floor.encode(), "ceiling": ceiling and ceiling.encode()}])
     return Baselines(floor, ceiling)
-
-
-def _evaluate(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int) -> Evaluation:
-    """Success of a policy on the first episodes of the final test."""
-    seed = spec.testing.final_seed
-    with opened(spec.recipe(randomize=False)) as environment:
-        return evaluate(environment, make(environment, seed), episodes=episodes, seed=seed).counts

@@ -52,6 +52,11 @@ def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
     return agent
 
 
+def import_libraries() -> None:
+    """Import what takes long and every run needs: torch."""
+    from ..agents import device  # noqa: F401, PLC0415
+
+
 def use_threads(spec: Spec) -> None:
     """Compute with the spec's number of threads in this process: sums in another order could change an episode."""
     from ..agents import device  # noqa: PLC0415  (imports torch)
