@@ -132,15 +132,10 @@ def _play(resolved: str, agent: bytes, test: DueEvaluation) -> tuple[Evaluation,
 def _evaluator(resolved: str) -> Evaluator:
     spec = spec_from_dict(json.loads(resolved))
     use_threads(spec)
-    evaluator = Evaluator(_with_fewer_workers(spec))
+    part = spec.orchestrator
+    if part.name == "local" and max(part.settings.processes, 1) * part.settings.threads == 1:
+        # No worker steps what this process can step itself instead of waiting.
+        part = replace(part, settings=part.settings.model_copy(update={"processes": 0}))
+    evaluator = Evaluator(spec.model_copy(update={"orchestrator": part}))
     Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers
     return evaluator
-
-
-def _with_fewer_workers(spec: Spec) -> Spec:
-    """The spec, in whose second process no worker steps what the process itself can step instead of waiting."""
-    part = spec.orchestrator
-    if part.name != "local" or max(part.settings.processes, 1) * part.settings.threads > 1:
-        return spec
-    settings = part.settings.model_copy(update={"processes": 0})
-    return spec.model_copy(update={"orchestrator": replace(part, settings=settings)})

@@ -9,7 +9,6 @@ import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
-from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, RunError, WorkerError, described
@@ -134,7 +133,10 @@ class Run:
             if self.spec.continued_from is not None:
                 hint = "`karolos resume RUN training.steps=...` makes such a run"
                 raise RunError("it has no checkpoint of the run that it continues", where=self.folder.id, hint=hint)
-            self._start_from(training.agent)
+            start = find(self.spec, self.folder.path.parent)
+            if start is not None:
+                apply(start, training.agent)
+                self.folder.event("started_from", **start.record())
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:
             if self.spec.demonstrations is not None and not self._checkpointer.demonstrated:
@@ -144,13 +146,6 @@ class Run:
             self._checkpointer.save(training)
             return False
         return True
-
-    def _start_from(self, agent: Agent) -> None:
-        """Take over what another run's agent has learned, if the spec says so."""
-        start = find(self.spec, self.folder.path.parent)
-        if start is not None:
-            apply(start, agent)
-            self.folder.event("started_from", **start.record())
 
     def _demonstrate(self, training: Training, settings: DemonstrationSettings) -> None:
         """Add the expert's episodes to the buffer. Raises StopRequestedError."""

@@ -133,14 +133,22 @@ class Matrix(Plan):
                         setting=self.transfer.place(label),
                         hint="give environment.success_return, or another environment",
                     )
+            robots = [one.robot for one in self.variants.values() if one.robot is not None]
+            by_joints = any(getattr(one.settings, "control", None) == "joint" for one in robots)
             for source, target in self.pairs:
                 if differences := layout_differences(signatures[target], signatures[source]):
                     raise UsageError(
                         f"a policy of {source} cannot act on {target}: {'; '.join(differences)}",
                         setting=self.transfer.place(target),
-                        hint=_layout_hint(self.variants.values()),
+                        hint=f"{'set robot.control=cartesian: ' if by_joints else ''}{SAME_LAYOUTS}",
                     )
-                self._check_overrides(source, target)
+                changed = spec_from_dict(self.variants[source].dump(), self.overrides[target])
+                if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
+                    raise UsageError(
+                        f"the settings of {target} do not turn {source} into {target}",
+                        setting=self.transfer.place(target),
+                        hint="give every variant the same settings, with the values that it has",
+                    )
             for label, tuned in self._tuned.items():
                 check_parts(tuned, jobs)
                 if "start_from" not in type(tuned.agent.settings).model_fields:
@@ -150,16 +158,6 @@ class Matrix(Plan):
                         hint="leave out fine_tune",
                     )
                 check_agents(tuned, self.variants[label])
-
-    def _check_overrides(self, source: str, target: str) -> None:
-        """Raise a UsageError unless the target's settings turn the source's environment into the target's."""
-        changed = spec_from_dict(self.variants[source].dump(), self.overrides[target])
-        if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
-            raise UsageError(
-                f"the settings of {target} do not turn {source} into {target}",
-                setting=self.transfer.place(target),
-                hint="give every variant the same settings, with the values that it has",
-            )
 
     @override
     def execute(self) -> bool:
@@ -298,12 +296,6 @@ class ZeroShotTask(FolderTask):
 def _name(spec: Spec, source: str, target: str | None = None) -> str:
     """The name of the runs of a source, or of its fine-tuning on a target."""
     return f"{spec.name}-{source}" + (f"-to-{target}" if target is not None else "")
-
-
-def _layout_hint(variants: Iterable[Spec]) -> str:
-    """What to do about layouts that differ."""
-    joint = any(getattr(one.robot.settings, "control", None) == "joint" for one in variants if one.robot is not None)
-    return f"{'set robot.control=cartesian: ' if joint else ''}{SAME_LAYOUTS}"
 
 
 def _require_checkpoint(folder: RunFolder) -> None:

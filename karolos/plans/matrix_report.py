@@ -402,7 +402,12 @@ def notes(report: TransferReport) -> list[str]:
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     for name, metric in report.metrics.items():
-        if without := [text for cell in report.cells if (text := _alone(cell, name))]:
+        paired = [(cell, found) for cell in report.cells if isinstance(found := cell.estimates.get(name), Paired)]
+        if without := [
+            f"{cell.source} to {cell.target} {found.alone} of {found.pairs}"
+            for cell, found in paired
+            if found.alone != found.pairs
+        ]:
             lines.append(f"{metric.title}, pairs that alone have a value: {', '.join(without)}")
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
@@ -458,11 +463,3 @@ def _runs_table(report: TransferReport) -> Table:
 def _run_cells(run: RunRecord) -> tuple[str, str, str, str]:
     summary = run.summary
     return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
-
-
-def _alone(cell: Cell, name: str) -> str:
-    """How many pairs of a cell alone have a value; nothing if all have."""
-    found = cell.estimates.get(name)
-    if not isinstance(found, Paired) or found.alone == found.pairs:
-        return ""
-    return f"{cell.source} to {cell.target} {found.alone} of {found.pairs}"
