@@ -11,10 +11,8 @@ from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..environments.build import opened, used
 from ..environments.robot_task import RobotTask
-from ..errors import UsageError
+from ..errors import UsageError, closest
 from ..records import RunFolder
-from ..registry import closest
-from ..robots.settings import ArmSettings
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import FILES, RANDOMIZATION
 from ..training.assembly import located
@@ -100,10 +98,10 @@ def _with_time(spec: Spec, environment: Environment) -> Spec:
 
     Actions are worth as much as in training. (With smaller ones a policy is slower yet: docs/what_was_tried.md.)
     """
-    if not isinstance(environment, RobotTask) or spec.task is None:
+    if not isinstance(environment, RobotTask) or spec.robot is None or spec.task is None:
         return spec
     own = getattr(getattr(environment.robot, "model", None), "tool_step", None)
-    asked = min(environment.robot.tool_step, ArmSettings.model_fields["tool_step"].default)
+    asked = min(environment.robot.tool_step, spec.robot.plugin.Settings.model_fields["tool_step"].default)
     if own is None or asked <= own:
         return spec
     usual, slower = environment.signature.max_steps, asked / own

@@ -14,7 +14,6 @@ from ..evaluation.testing import test_seeds
 from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..training.training import Training
-from .events import Announce
 from .signals import StopRequest, StopRequestedError
 from .writer import RunWriter
 
@@ -46,9 +45,8 @@ class PendingTests:
         spec: of the run.
         training: is tested.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
-        writer: of the run, for warnings.
+        writer: of the run, for warnings and the progress of tests.
         stop: a request breaks off the part that is played here. The tests stay pending.
-        announce: is called with the progress of a test.
         beside: whether a second process may be started.
     """
 
@@ -59,12 +57,11 @@ class PendingTests:
         pending: list[DueEvaluation],
         writer: RunWriter,
         stop: StopRequest,
-        announce: Announce,
         *,
         beside: bool,
     ) -> None:
         self._spec, self._training, self.pending = spec, training, pending
-        self._writer, self._stop, self._announce = writer, stop, announce
+        self._writer, self._stop = writer, stop
         self.activity = "testing"
         """For announcements."""
         self._any_finished = False
@@ -187,7 +184,7 @@ class PendingTests:
     def _tell(self, playing: int = 0) -> None:
         """Announce the episodes of pending tests that are over; `playing`: of these, those of the part played here."""
         done = playing + sum(result.episodes for result in self._results.values())
-        self._announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
+        self._writer.announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
 
     def _is_process_worthwhile(self) -> bool:
         """Whether the tests played here say that a second process would spare more time than its start takes."""

@@ -12,12 +12,11 @@ from pathlib import Path
 
 from ..core import Agent, Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..errors import RunError, UsageError
+from ..errors import RunError, UsageError, closest
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder, checkpoint
 from ..records.run_folder import renamed
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
-from ..registry import closest, load
 from ..specification import Spec
 from ..training.assembly import located
 
@@ -93,7 +92,7 @@ def check_agents(spec: Spec, source: Spec) -> None:
         hint = f"set agent.name={name}, or name a run of {spec.agent.name}"
         raise _refused(f"the agent is {spec.agent.name}, and the run's agent is {name}", hint)
     own, theirs = spec.agent.dump(), source.agent.dump()
-    differing = [key for key in load("agents", name).shaping if own[key] != theirs[key]]
+    differing = [key for key in source.agent.plugin.shaping if own[key] != theirs[key]]
     if differing:
         what = "; ".join(f"agent.{key} is {own[key]} here and {theirs[key]} in the run" for key in differing)
         hint = "set " + " ".join(f"agent.{key}={theirs[key]}" for key in differing)

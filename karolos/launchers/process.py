@@ -27,6 +27,7 @@ with BriefInterrupt():
     from ..experiment.signals import StopRequestedError, stop_on_signals
     from ..files import read_object, write_json, write_whole
     from ..records import RunFolder, provenance
+    from ..training.assembly import import_libraries
     from .interface import LAUNCH, STOP
 
 EARLIER_PROCESS_SECONDS = 60.0
@@ -81,8 +82,7 @@ def serve(cores: int) -> None:
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what libraries print does not mix with the answers
-    from ..agents import device  # noqa: F401, PLC0415  (imports torch)
-
+    import_libraries()
     with open(0, encoding="utf-8", closefd=False) as orders, suppress(OSError):  # the driver has ended
         answers.write("null\n")
         for line in orders:

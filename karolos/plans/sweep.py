@@ -53,7 +53,6 @@ from ..records.sweep_records import (
 )
 from ..specification import Spec, load_spec, spec_from_dict, spec_of_trial, to_yaml
 from ..specification.sweep import DEFAULT_TRIALS
-from ..store import Store
 from ..training.assembly import check_parts
 from .objectives import directions, measure_all, nominal_steps, so_far
 from .plan import Plan
@@ -142,7 +141,7 @@ class Search(Plan):
         append_lines(journal, ())  # removes an incomplete last line of a killed process
         self._study = Study(journal, self.sweep, self.name, self.spec.training.steps, self._directions)
         stop = self.driver.stop
-        with Store(self.home.url) as self._store:
+        with self.home.store() as self._store:
             self._write()
             before = self._record
             self.driver.run(self._trials(), 1 if self.jobs is None else self.jobs)

@@ -12,8 +12,8 @@ from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ..errors import UsageError
-from ..registry import alternatives, entries
+from ..errors import UsageError, alternatives
+from ..registry import entries
 
 KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution")
 """Kinds with a starter package."""

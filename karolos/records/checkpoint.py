@@ -36,7 +36,7 @@ from ..errors import RunError
 from ..files import below, parse_object, write_json, writing
 
 if TYPE_CHECKING:
-    import torch
+    pass
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -433,7 +433,8 @@ def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) ->
     if type(value) is int:
         return value if value in _WORD else {_TAG: "integer", "text": hex(value)}
     if isinstance(value, torch.Tensor):
-        return _own_storage(value)
+        alone = value.detach().cpu()  # torch.save would write the whole storage of a view
+        return alone.clone() if alone.untyped_storage().nbytes() > alone.nbytes else alone
     if isinstance(value, np.ndarray | np.generic):
         return _encode_array(value, path, arrays)
     if isinstance(value, Mapping):
@@ -454,12 +455,6 @@ def decode(value: Any, arrays: ArrayFiles | None = None) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(decode(item, arrays) for item in value)
     return value
-
-
-def _own_storage(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor with its own storage: torch.save would write the whole storage of a view."""
-    alone = tensor.detach().cpu()
-    return alone.clone() if alone.untyped_storage().nbytes() > alone.nbytes else alone
 
 
 def _encode_array(value: np.ndarray | np.generic, path: str, arrays: ArrayFiles | None) -> dict[str, Any]:

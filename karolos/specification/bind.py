@@ -10,8 +10,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ..errors import PluginError, Problem, UsageError
-from ..registry import alternatives, closest, load, singular
+from ..errors import PluginError, Problem, UsageError, alternatives, closest
+from ..registry import load, singular
 from .model import Spec
 from .parts import Part, validate_strictly
 from .tree import DEFAULT, PARTS, RANDOMIZATION, ROBOT_TASK, SWEEP, TRANSFER, Mark, Node, Path, dotted, shown, written

@@ -16,9 +16,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from ..errors import Problem, SpecError, UsageError
+from ..errors import Problem, SpecError, UsageError, closest
 from ..files import SPECS
-from ..registry import closest
 from .tree import (
     MAX_DEPTH,
     Mark,
