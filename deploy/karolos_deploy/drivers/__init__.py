@@ -18,7 +18,7 @@ class Driver:
 
     The executor calls `connect`, then `begin` for each episode, then in each cycle `read`, `send` and `wait`; after a
     fault or at the end `stop`, and `close`. A driver raises `Fault` where the robot or the connection fails, and sends
-    nothing after `stop`.
+    nothing after `stop`. `karolos_deploy.contracts` checks all this.
 
     Args:
         bundle: what will be run.

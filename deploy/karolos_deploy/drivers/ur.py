@@ -65,7 +65,7 @@ class UR(Driver):
         self._impedance = bundle.contract["control"]["mode"] == "impedance"
         self._receive: Any = None
         self._control: Any = None
-        self._time = -1.0
+        self._time, self._moves = -1.0, False
         self._opening, self._wanted = 0.0, -1
         self._measured: dict[str, Array] = {}
         self._failed: Fault | None = None
@@ -144,7 +144,7 @@ class UR(Driver):
             time.sleep(0.2)  # until the program waits for commands
         if move and not self._control.setWatchdog(self.number("watchdog")):
             raise Fault("refused", "the controller took no watchdog")
-        self._time = -1.0
+        self._time, self._moves = -1.0, move
         return goal
 
     def read(self) -> Reading | None:
@@ -171,6 +171,8 @@ class UR(Driver):
         return Reading(stamp, positions, velocities, wrench, self._opening, dict(self._measured), state)
 
     def send(self, point: SetPoint) -> None:
+        if not self._moves:
+            return
         if point.opening is not None:
             self._wanted = round(255 * (1 - point.opening))
         try:
@@ -202,6 +204,7 @@ class UR(Driver):
         return bool(self._control.forceMode([0.0] * 6, [1] * 6, wrench, 2, [speed] * 3 + [1.0] * 3))
 
     def stop(self) -> None:
+        self._moves = False
         if self._control is None or not self._receive.isConnected():
             return  # the client would connect again; the controller's watchdog has stopped the robot
         try:
