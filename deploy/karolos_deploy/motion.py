@@ -132,13 +132,12 @@ class Motion:
         wanted = np.clip(changes / self.period, -SPEED_SHARE * self.speed, SPEED_SHARE * self.speed)
         share = min(1.0, float((rise / np.maximum(np.abs(wanted - before), 1e-12)).min()))
         speed = before + share * (wanted - before)
-        braking = np.maximum(BRAKING_TIME, self.speed / self.acceleration)
+        braking, mean = np.maximum(BRAKING_TIME, self.speed / self.acceleration + self.period), rise / 4
         for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
             room = sign * (end - positions)
+            left = np.maximum(self.acceleration * (room - sign * before * self.period / 2), 0.0)
             slow = np.where(
-                room > 0,
-                np.minimum(room / BRAKING_TIME, np.sqrt(self.acceleration * np.abs(room))),
-                room / BRAKING_TIME,
+                room > 0, np.minimum(room / BRAKING_TIME, np.sqrt(mean**2 + left) - mean), room / BRAKING_TIME
             )
             speed = np.where(
                 braking * sign * speed > room,
