@@ -84,6 +84,7 @@ def shrunk(words: list[str]) -> list[str]:
     return [*words, *TINY, *more]
 
 
+COMMANDS = typer.main.get_command(app)
 PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
@@ -172,7 +173,7 @@ def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm() -> None:
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
     for inline in re.findall(r"`karolos ([^`]+)`", BLOCK.sub("", page.read_text(encoding="utf-8"))):
-        command, words = typer.main.get_command(app), inline.replace("|", " ").split()
+        command, words = COMMANDS, inline.replace("|", " ").split()
         while words and words[0] in getattr(command, "commands", {}):
             command = command.commands[words.pop(0)]
         assert command.name != "karolos" or words[0].startswith("-") or words[0].isupper(), inline

@@ -152,8 +152,8 @@ def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], j
 
     def ask(event: object) -> None:
         if isinstance(event, RunAdvanced) and not asked:
-            asked.append(time.monotonic() + 1.0)
-            threading.Timer(1.0, terminate).start()
+            asked.append(time.monotonic() + 0.3)
+            threading.Timer(0.3, terminate).start()
 
     spec = hostile.spec("late step:hang", processes)
     spec["orchestrator"]["time_limit"] = 60.0
