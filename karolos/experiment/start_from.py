@@ -7,7 +7,6 @@ was overwritten since is noticed. The sha256 belongs to the experiment's identit
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 from ..core import Agent, Deployed
@@ -29,8 +28,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
         start = find(spec, runs)
     if start is None:
         return spec
-    settings = spec.agent.settings.model_copy(update={"start_sha256": start.sha256})
-    return spec.model_copy(update={"agent": replace(spec.agent, settings=settings)})
+    return spec.having("agent", start_sha256=start.sha256)
 
 
 def find(spec: Spec, runs: Path) -> Learned | None:

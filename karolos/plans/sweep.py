@@ -170,8 +170,7 @@ class Search(Plan):
 
     def _for_search(self, base: Spec, drawn: Mapping[str, Any], name: str) -> Spec:
         """A trial's spec without the final test, which says nothing to the search."""
-        trial = spec_of_trial(base, drawn, name, self.sweep.seeds, name)
-        return trial.model_copy(update={"testing": trial.testing.model_copy(update={"final_episodes": 0})})
+        return spec_of_trial(base, drawn, name, self.sweep.seeds, name).having("testing", final_episodes=0)
 
     def _trials(self) -> Iterator[TrialJob]:
         """The runs of open and of new trials. A trial that cannot work fails at once."""
@@ -263,8 +262,7 @@ class Search(Plan):
     def _for_report(base: Spec, trial: Trial, name: str, seeds: tuple[int, ...]) -> Spec:
         """A trial's spec whose tests play other episodes than those it was tuned and chosen on."""
         spec = spec_of_trial(base, trial.drawn, name, seeds, trial.name)
-        seed = spec.testing.seed + REPORT_SEED_OFFSET
-        return spec.model_copy(update={"testing": spec.testing.model_copy(update={"seed": seed})})
+        return spec.having("testing", seed=spec.testing.seed + REPORT_SEED_OFFSET)
 
     def _unused_seeds(self) -> Iterator[int]:
         """Seeds from 0 that are neither the sweep's nor the spec's."""
