@@ -326,23 +326,19 @@ class Search(Plan):
             return
         seeds = tuple(islice(self._unused_seeds(), len(self.spec.seeds))) if final is None else final.report_seeds
         spec = self._for_report(self.spec, best, best_name(self.name), seeds)
-        comment = "".join(f"# {line}\n" for line in self._comment(best, final))
-        write_whole(self.folder / BEST, comment + to_yaml(spec.dump()))
-        with suppress(StopRequestedError), self.driver.stop.at_once(), look():  # they take seconds
-            write_plots(self._study.figures(), self.folder / "figures")
-
-    def _comment(self, best: Trial, final: SweepFinal | None) -> Iterator[str]:
-        """The lines above the best trial's spec."""
         drawn = ", ".join(f"{key} = {value}" for key, value in best.drawn.items())
-        yield f"Trial {best.number} of a sweep: {drawn}."
+        comment = f"# Trial {best.number} of a sweep: {drawn}.\n"
         phases = [(best.values, "the seeds it was tuned on", self.sweep.seeds)]
         if final is not None:
             phases.append((final.fresh[best.number], "the seeds it was chosen by", final.seeds))
             phases.append((final.reported, "seeds used for nothing else", final.report_seeds))
         for place, name in enumerate(self.sweep.objectives):
-            for values, which, seeds in phases:
+            for values, which, on in phases:
                 if values is not None:
-                    yield f"{name} {values[place]:.4g} on {which} ({', '.join(map(str, seeds))})"
+                    comment += f"# {name} {values[place]:.4g} on {which} ({', '.join(map(str, on))})\n"
+        write_whole(self.folder / BEST, comment + to_yaml(spec.dump()))
+        with suppress(StopRequestedError), self.driver.stop.at_once(), look():  # they take seconds
+            write_plots(self._study.figures(), self.folder / "figures")
 
 
 class TrialJob(RunJob):
