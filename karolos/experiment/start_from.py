@@ -26,9 +26,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
     """The spec with the sha256 of the agent that it starts from. Raises as `find` does, at the setting."""
     with located(spec):
         start = find(spec, runs)
-    if start is None:
-        return spec
-    return spec.having("agent", start_sha256=start.sha256)
+    return spec if start is None else spec.having("agent", start_sha256=start.sha256)
 
 
 def find(spec: Spec, runs: Path) -> Learned | None:

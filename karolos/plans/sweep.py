@@ -182,7 +182,7 @@ class Search(Plan):
                 trial = self._study.ask()
             else:
                 return
-            name = self._tell(trial)
+            name = self.tell(trial)
             try:
                 spec = self._for_search(self._base, trial.drawn, name)
                 with self.driver.stop.at_once():
@@ -190,22 +190,12 @@ class Search(Plan):
             except StopRequestedError:
                 return  # the next call of the sweep takes the trial up again
             except KarolosError as error:
-                self.end_trial(trial, error=str(error).replace("\n", "; "))
+                trial.end(error=str(error).replace("\n", "; "))
+                self.tell(trial)
             else:
                 yield TrialJob(self, trial, spec)
 
-    def end_trial(
-        self,
-        trial: OpenTrial,
-        runs: Sequence[str] = (),
-        values: Sequence[float] | None = None,
-        error: str | None = None,
-    ) -> None:
-        """End a trial as `OpenTrial.end` does."""
-        trial.end(runs, values, error)
-        self._tell(trial)
-
-    def _tell(self, trial: OpenTrial) -> str:
+    def tell(self, trial: OpenTrial) -> str:
         """Write the trials and tell the listener of this one; returns its name."""
         self._write()
         found = self._record.trials[trial.number]
@@ -377,11 +367,14 @@ class TrialJob(RunJob):
             values = measure_all(objectives, self)
             finite = all(math.isfinite(value) for value in values)
             error = None if finite else f"{' and '.join(objectives)} came to {list(values)}"
-            search.end_trial(self._trial, runs, values if finite else None, error)
+            self._trial.end(runs, values if finite else None, error)
         elif self.error is not None or self.halted == PRUNED:
-            search.end_trial(self._trial, runs, error=self.error)
+            self._trial.end(runs, error=self.error)
         elif not search.driver.stop.requested:
-            search.end_trial(self._trial, runs, error="a run was stopped from outside")
+            self._trial.end(runs, error="a run was stopped from outside")
+        else:
+            return
+        search.tell(self._trial)
 
 
 def _fingerprint(spec: Spec) -> str:
