@@ -111,12 +111,23 @@ class VariedRobotTask(Environment):
     """
 
     def __init__(self, variants: Mapping[tuple[float, ...], RobotTask], distributions: Mapping[str, Choice]) -> None:
-        _check_alike({values: variant.signature for values, variant in variants.items()}, list(distributions))
         self._variants = variants
         self._distributions = distributions
         self._drawn, self._current = next(iter(variants.items()))
-        signature = self._current.signature
-        settings = Layout(tuple(Field(name, 1) for name in distributions))
+        signature, names = self._current.signature, list(distributions)
+        for values, variant in variants.items():  # the first of them that is not alike differs in one setting
+            differences = layout_differences(variant.signature, signature, learning=True)
+            if not differences and _rules(variant.signature) != _rules(signature):
+                differences = ["episodes have another length, or another rule of reward and success"]
+            if differences:
+                index = next(index for index, value in enumerate(values) if value != self._drawn[index])
+                raise UsageError(
+                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                    + "; ".join(differences),
+                    setting=f"randomization.{names[index]}",
+                    hint=f"give it one value: {names[index]}={self._drawn[index]:g}",
+                )
+        settings = Layout(tuple(Field(name, 1) for name in names))
         self.signature = replace(signature, parameters=signature.parameters + settings)
         self.rate = self._current.rate
 
@@ -198,22 +209,6 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
             variant = replace(variant, robot=changed) if key == "robot" else replace(variant, task=changed)
         found[values] = variant
     return found
-
-
-def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
-    first, signature = next(iter(signatures.items()))
-    for values, other in signatures.items():  # the first of them that is not alike differs in one setting
-        differences = layout_differences(other, signature, learning=True)
-        if not differences and _rules(other) != _rules(signature):
-            differences = ["episodes have another length, or another rule of reward and success"]
-        if differences:
-            index = next(index for index, value in enumerate(values) if value != first[index])
-            raise UsageError(
-                "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
-                + "; ".join(differences),
-                setting=f"randomization.{names[index]}",
-                hint=f"give it one value: {names[index]}={first[index]:g}",
-            )
 
 
 def _rules(signature: Signature) -> tuple[Any, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 from ..core import Environment, Signature
@@ -107,8 +107,7 @@ def _with_time(spec: Spec, environment: Environment) -> Spec:
     usual, slower = environment.signature.max_steps, asked / own
     steps = ceil(usual * slower)
     warnings.warn(f"the arm is {slower:.1f} times slower: {steps} control steps instead of {usual}", stacklevel=3)
-    settings = spec.task.settings.model_copy(update={"max_steps": steps})
-    return spec.model_copy(update={"task": replace(spec.task, settings=settings)})
+    return spec.having("task", max_steps=steps)
 
 
 def load_player(

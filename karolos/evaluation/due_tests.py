@@ -135,7 +135,7 @@ def _evaluator(resolved: str) -> Evaluator:
     part = spec.orchestrator
     if part.name == "local" and max(part.settings.processes, 1) * part.settings.threads == 1:
         # No worker steps what this process can step itself instead of waiting.
-        part = replace(part, settings=part.settings.model_copy(update={"processes": 0}))
-    evaluator = Evaluator(spec.model_copy(update={"orchestrator": part}))
+        spec = spec.having("orchestrator", processes=0)
+    evaluator = Evaluator(spec)
     Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers
     return evaluator

@@ -184,8 +184,7 @@ def playable(spec: Spec) -> Spec:
     engine = engine_of(spec)
     if engine is None or engine.installed:
         return spec
-    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine.name)})
-    return spec.model_copy(update={"environment": replace(spec.environment, settings=settings)})
+    return spec.having("environment", engine=installed_one(engine.name))
 
 
 def has_window(spec: Spec) -> bool:

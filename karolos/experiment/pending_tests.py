@@ -47,7 +47,7 @@ class PendingTests:
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
         writer: of the run, for warnings and the progress of tests.
         stop: a request breaks off the part that is played here. The tests stay pending.
-        beside: whether a second process may be started.
+        two_processes: whether a second process may be started.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class PendingTests:
         writer: RunWriter,
         stop: StopRequest,
         *,
-        beside: bool,
+        two_processes: bool,
     ) -> None:
         self._spec, self._training, self.pending = spec, training, pending
         self._writer, self._stop = writer, stop
@@ -72,9 +72,9 @@ class PendingTests:
         self._here: DueEvaluation | None = None
         """The part that this process plays."""
         self._process: EvaluationProcess | None = None
-        self._beside: tuple[DueEvaluation, Future[tuple[Evaluation, list[Failure]]]] | None = None
+        self._there: tuple[DueEvaluation, Future[tuple[Evaluation, list[Failure]]]] | None = None
         """The part that the second process plays, and its result."""
-        self._processes_left = MAX_LOST_PROCESSES if beside else 0
+        self._processes_left = MAX_LOST_PROCESSES if two_processes else 0
         self._played, self._spent = 0, 0.0
         """Episodes that were completed in this process, and the seconds that they took."""
 
@@ -112,18 +112,18 @@ class PendingTests:
 
     def advance(self) -> None:
         """Receive what the second process has played, and give it the next part. Does not wait."""
-        if self._process is None or (self._beside is not None and not self._beside[1].done()):
+        if self._process is None or (self._there is not None and not self._there[1].done()):
             return
         try:
-            if self._beside is not None:
-                part, future = self._beside
+            if self._there is not None:
+                part, future = self._there
                 result, failures = future.result()
                 for failure in failures:
                     self._writer.warn_of_failure(failure)
                 self._record(part, result)
-                self._beside = None
+                self._there = None
             if (free := next(self._parts(taken=False), None)) is not None:
-                self._beside = free, self._process.submit(free)
+                self._there = free, self._process.submit(free)
         except Exception as error:  # whatever it is, it must not cost the run
             self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
             self._processes_left -= 1
@@ -135,9 +135,9 @@ class PendingTests:
 
     def _close_process(self) -> None:
         if self._process is not None:
-            self._process.close(kill=self._beside is not None)
+            self._process.close(kill=self._there is not None)
             self._process = None
-        self._beside = None
+        self._there = None
 
     def _is_over(self, test: DueEvaluation) -> bool:
         return all(part in self._results for part in test.parts)
@@ -148,7 +148,7 @@ class PendingTests:
 
     def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
         """The parts without a result, in order; `taken`: also those that a process plays."""
-        playing = () if taken else (self._here, self._beside and self._beside[0])
+        playing = () if taken else (self._here, self._there and self._there[0])
         every = (part for test in self.pending for part in test.parts)
         return (part for part in every if part not in self._results and part not in playing)
 

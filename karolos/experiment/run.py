@@ -52,7 +52,7 @@ class Run:
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
-        beside: whether a second process may play tests while this one trains.
+        two_processes: whether a second process may play tests while this one trains.
     """
 
     spec: Spec
@@ -62,7 +62,7 @@ class Run:
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
-    beside: bool = False
+    two_processes: bool = False
     _pending: list[DueEvaluation] = field(default_factory=list, init=False)
     """Tests without a recorded result."""
 
@@ -111,7 +111,9 @@ class Run:
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
             self._writer.training = training
-            tests = PendingTests(spec, training, self._pending, self._writer, self.stop, beside=self.beside)
+            tests = PendingTests(
+                spec, training, self._pending, self._writer, self.stop, two_processes=self.two_processes
+            )
             stack.callback(tests.close)
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
@@ -283,7 +285,7 @@ class Run:
 
 
 def run_or_resume(
-    folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, beside: bool
+    folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, two_processes: bool
 ) -> RunSummary:
     """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
 
@@ -306,4 +308,4 @@ def run_or_resume(
         return folder.summary()
     if snapshot is not None:
         folder.next_attempt()
-    return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()
+    return Run(spec, seed, folder, url, listener, stop, snapshot, two_processes).execute()

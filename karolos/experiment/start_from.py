@@ -7,7 +7,6 @@ was overwritten since is noticed. The sha256 belongs to the experiment's identit
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 from ..core import Agent, Deployed
@@ -27,10 +26,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
     """The spec with the sha256 of the agent that it starts from. Raises as `find` does, at the setting."""
     with located(spec):
         start = find(spec, runs)
-    if start is None:
-        return spec
-    settings = spec.agent.settings.model_copy(update={"start_sha256": start.sha256})
-    return spec.model_copy(update={"agent": replace(spec.agent, settings=settings)})
+    return spec if start is None else spec.having("agent", start_sha256=start.sha256)
 
 
 def find(spec: Spec, runs: Path) -> Learned | None:

@@ -61,7 +61,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                     test.play(lambda _: stop.check())
             elif run is not None:
                 if not stop.requested:
-                    run_or_resume(run, None, _progress_writer(run), stop, beside=cores >= 2)
+                    run_or_resume(run, None, _progress_writer(run), stop, two_processes=cores >= 2)
                 system.remove(run.progress, missing_ok=True)
             requeued = (
                 stop.signal is not None and stop.signal == system.REQUEUED

@@ -238,9 +238,8 @@ class Matrix(Plan):
             for seed, folder in self.sources[source].items():
                 name = _name(self.spec, source, target)
                 spec = self._tuned[target].model_copy(update={"name": name, "seeds": (seed,)})
-                start = {"start_from": folder.id, "start_checkpoint": CHECKPOINT}
-                agent = replace(spec.agent, settings=spec.agent.settings.model_copy(update=start))
-                yield (source, target), pinned(spec.model_copy(update={"agent": agent}), self.home.runs)
+                spec = spec.having("agent", start_from=folder.id, start_checkpoint=CHECKPOINT)
+                yield (source, target), pinned(spec, self.home.runs)
 
 
 @dataclass(eq=False)

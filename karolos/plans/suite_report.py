@@ -244,11 +244,11 @@ def verdict(report: SuiteReport) -> str:
         text += f" {solved} of {specs} specs reached .95 in a test with every seed."
     if report.untested:
         text += f" Without a test: {', '.join(report.untested)}."
-    beside = [(one.spec.name, found) for one in report.entries if (found := one.scores.improvement) is not None]
-    if better := [found.value for _, found in beside if against_first(found) not in ("few", "unknown")]:
+    compared = [(one.spec.name, found) for one in report.entries if (found := one.scores.improvement) is not None]
+    if better := [found.value for _, found in compared if against_first(found) not in ("few", "unknown")]:
         text += f" A run is better than one of {report.beside} with probability {fmean(better):.2f}, mean over"
         text += f" specs with 5 seeds of each ({len(better)}); .5: no difference."
-    if few := [name for name, found in beside if against_first(found) == "few"]:
+    if few := [name for name, found in compared if against_first(found) == "few"]:
         text += f" Too few seeds to tell from {report.beside} (5 of each are needed): {', '.join(few)}."
     return text
 

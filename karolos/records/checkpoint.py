@@ -242,24 +242,16 @@ def _load(folder: Path, name: str, only: Collection[str] | None) -> tuple[dict[s
     path = _find(folder, name)
     before = _identity(path)
     try:
-        return _read(path, only)
+        manifest = read_manifest(path)
+        if lacking := set(only or ()) - set(manifest["files"]):
+            raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
+        arrays, wanted = ArrayFiles(path.parent / _ARRAYS), manifest["files"].keys() if only is None else only
+        files = {part: facts for part, facts in manifest["files"].items() if part in wanted}
+        return {part: read_state(path / f"{part}.pt", facts, arrays) for part, facts in files.items()}, manifest
     except CheckpointError:
         if _identity(_find(folder, name)) == before:
             raise
     return _load(folder, name, only)  # the run replaced it while it was read
-
-
-def _read(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
-    manifest = read_manifest(path)
-    if lacking := set(only or ()) - set(manifest["files"]):
-        raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
-    arrays = ArrayFiles(path.parent / _ARRAYS)
-    parts = {
-        part: read_state(path / f"{part}.pt", facts, arrays)
-        for part, facts in manifest["files"].items()
-        if only is None or part in only
-    }
-    return parts, manifest
 
 
 def _remove_unused(folder: Path) -> None:

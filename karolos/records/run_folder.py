@@ -92,7 +92,16 @@ class RunFolder:
     def create(cls, runs: str | Path, name: str, seed: int) -> RunFolder:
         """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken."""
         now = datetime.now(UTC)
-        path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
+        root, stem = Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}"
+        with writing(root):
+            root.mkdir(parents=True, exist_ok=True)
+            for attempt in range(1, _FOLDERS):
+                path = root / (stem if attempt == 1 else f"{stem}-{attempt}")
+                with suppress(FileExistsError):
+                    path.mkdir()  # succeeds in one process only, however many try
+                    break
+            else:
+                raise MachineError(f"{stem} is taken", where=str(runs))
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}
@@ -105,8 +114,19 @@ class RunFolder:
         Raises RunError if it is not a run folder, or a newer karolos made it.
         """
         folder = cls(Path(path))
-        folder._run = _read_description(folder.path)
-        folder.id = folder._run["id"]  # a renamed folder is still the same run
+        try:
+            run: Any = from_json(RunDescription, (folder.path / "run.json").read_bytes())
+        except OSError as error:
+            raise RunError(
+                f"this is not a run folder ({error.strerror})",
+                where=str(path),
+                hint="`karolos runs list` shows the runs, `karolos db reindex` forgets those whose folders are gone",
+            ) from error
+        if run is None or run["id"] == SWEEPS:
+            raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
+        if run["format"] > FORMAT:
+            raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
+        folder._run, folder.id = run, run["id"]  # a renamed folder is still the same run
         return folder
 
     @staticmethod
@@ -469,33 +489,3 @@ def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:
     for path in paths(runs, pattern):
         if not FileLock(path / "lock").is_locked():
             remove_leftovers(path, UNFINISHED)
-
-
-def _make_folder(runs: Path, stem: str) -> Path:
-    with writing(runs):
-        runs.mkdir(parents=True, exist_ok=True)
-        for attempt in range(1, _FOLDERS):
-            path = runs / (stem if attempt == 1 else f"{stem}-{attempt}")
-            try:
-                path.mkdir()  # succeeds in one process only, however many try
-            except FileExistsError:
-                continue
-            return path
-    raise MachineError(f"{stem} is taken", where=str(runs))
-
-
-def _read_description(path: Path) -> Any:
-    """The content of run.json. Raises RunError if it is not a run folder, or a newer karolos made it."""
-    try:
-        run = from_json(RunDescription, (path / "run.json").read_bytes())
-    except OSError as error:
-        raise RunError(
-            f"this is not a run folder ({error.strerror})",
-            where=str(path),
-            hint="`karolos runs list` shows the runs, `karolos db reindex` forgets those whose folders are gone",
-        ) from error
-    if run is None or run["id"] == SWEEPS:
-        raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
-    if run["format"] > FORMAT:
-        raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
-    return run

@@ -203,8 +203,8 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
         if deeper and (path in unions or kind in LENGTHS):
             continue  # a less specific error of a union's member; the length of a list without its invalid items
         if kind == "missing":
-            beside = (str(other[-1]) for other in unknown if other[:-1] == path[:-1])
-            if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in beside):
+            siblings = (str(other[-1]) for other in unknown if other[:-1] == path[:-1])
+            if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in siblings):
                 continue  # `bind` reports it, or it is misspelt
         whole = (*invalid.path, *path)
         what, hint = _said(invalid, path, entries, tree, plugins)

@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from ..core import Settings
 from ..errors import KarolosError, Problem, SpecError
 from .bind import Invalid, explain
-from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
+from .files import SHIPPED, SpecFiles, find_spec, relative_name, unreadable
 from .load import load_spec
 from .model import Name, Spec
 from .parts import validate_strictly
@@ -108,7 +108,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
         above = [*_trees(tree.get("overrides")), *_trees(entry.get("overrides"))]
         try:
             given = entry["spec"]  # relative to the suite's file, or a shipped one
-            near = given.value if given.value.startswith(SHIPPED) else beside(given.at.source, given.value)
+            near = given.value if given.value.startswith(SHIPPED) else relative_name(given.at.source, given.value)
             file = str(near if os.path.isfile(find_spec(near)[0]) else given.value)
             if wrong := unreadable(find_spec(file)[0]):
                 raise refusal(given.at, f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")

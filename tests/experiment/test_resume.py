@@ -79,7 +79,7 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatc
     monkeypatch.setattr(Spec, "files", lambda _: {"task.part": "2"})
     folder.describe(spec.dump(), experiment=spec.hash(), files={"task.part": "1"})
     with pytest.raises(RunError, match=r"the file of task\.part, or one that it names, was changed or is missing; put"):
-        run_or_resume(folder, None, lambda _: None, StopRequest(), beside=False)
+        run_or_resume(folder, None, lambda _: None, StopRequest(), two_processes=False)
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -307,7 +307,7 @@ def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: R
     with broken:
         broken.lock()
         url, stop = Store.default_url(broken.path.parent), StopRequest()
-        assert run_or_resume(broken, url, pytest.fail, stop, beside=False).state == "finished"
+        assert run_or_resume(broken, url, pytest.fail, stop, two_processes=False).state == "finished"
     assert broken.events() == before
 
 
