@@ -28,8 +28,8 @@ USUAL_SPEED, USUAL_SLIDE, USUAL_FORCE = 2.0, 0.1, 20.0
 """Speed in rad/s and m/s of a joint whose speed nobody says, and force in N of a slide."""
 GRAVITY = 9.81
 PAYLOAD, PAYLOAD_SHARE, PAYLOAD_ARM = 2.0, 1 / 15, 0.2
-"""What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and how
-far from its last joint in m."""
+"""What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
+how far from its last joint in m."""
 MJCF = (".xml", ".mjcf")
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
