@@ -13,6 +13,8 @@ from karolos.errors import PluginError
 from karolos.evaluation.changed_spec import changed_spec
 from karolos.evaluation.policies import signature_of
 from karolos.files import copy_named, fingerprint
+from karolos.plugins.contracts.case import candidate
+from karolos.plugins.contracts.robots import reaching
 from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.robots import from_file
@@ -172,3 +174,17 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
     assert 6.0 < sum(masses) < 9.0, "the base weighs the rest"
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
+
+
+def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None:
+    arm.write_text(re.sub(r'effort="\d+"', 'effort="9000"', arm.read_text(), count=len(LINKS)))
+    ways = []
+    for mass in (100.0, 400.0):
+        with reaching(candidate("robots", "urdf", file=str(arm), mass=mass, control="impedance")) as environment:
+            environment.reset(0)
+            start, sideways = environment.robot.tool_position[1], np.eye(6)[1] / 2
+            for step in range(30):
+                environment.step(sideways * (step < 12))
+            ways.append(environment.robot.tool_position[1] - start)
+    assert ways[0] > 0.05
+    assert ways[1] == pytest.approx(ways[0], rel=0.02)
