@@ -145,7 +145,7 @@ def readings_are_whole_and_new(case: Case) -> None:
             begin = perf_counter()
             driver.read()
             times.append(perf_counter() - begin)
-        demand(np.median(times) < 0.5 / RATE, f"`read` takes {1000 * np.median(times):.1f} ms: it must not wait")
+        demand(np.median(times) < 1 / RATE, f"`read` takes {1000 * np.median(times):.1f} ms: it must not wait")
 
 
 def the_clock_goes_on(case: Case) -> None:
@@ -177,7 +177,7 @@ def set_points_are_followed(case: Case) -> None:
 
 def nothing_moves_after_stop(case: Case) -> None:
     """After `stop` the robot comes to rest. Until `begin` a set point is ignored or a Fault."""
-    with case.connected(lambda _: 0.3) as (driver, executor):
+    with case.connected(lambda _: -0.3) as (driver, executor):
         executor.run(0, steps=5)  # it ends with `stop`, while the robot moves
         at_rest = case.watched(driver, BRAKING).positions
         point = copy.copy(case.sent[-1])
@@ -209,8 +209,8 @@ def a_lost_connection_is_a_fault(case: Case) -> None:
     with case.connected(act) as (driver, executor):
         try:
             executor.run(0, steps=5 + round(2 * executor.bundle.contract["control"]["rate"]))
-        except Fault:
-            demand(lost, "a Fault came before the connection was lost")
+        except Fault as fault:
+            demand(lost, f"before the connection was lost: {fault}")
             demand(perf_counter() - lost[0] < 2, "a lost connection is a Fault only after more than two seconds")
         else:
             raise AssertionError("a lost connection is not noticed")

@@ -32,9 +32,10 @@ class Motion:
     Args:
         contract: of the bundle.
         chain: of the arm.
+        share: fraction of the joints' accelerations that is used.
     """
 
-    def __init__(self, contract: Mapping[str, Any], chain: Chain) -> None:
+    def __init__(self, contract: Mapping[str, Any], chain: Chain, share: float = 1.0) -> None:
         self.control, self.chain = contract["control"], chain
         self.mode: str = self.control["mode"]
         self.period = 1 / self.control["rate"]
@@ -42,6 +43,7 @@ class Motion:
         self.lower, self.upper, self.speed, self.acceleration, self.home = (
             np.array([joint[key] for joint in joints]) for key in ("lower", "upper", "velocity", "acceleration", "home")
         )
+        self.acceleration = share * self.acceleration
         self.low, self.high = np.array(contract["workspace"])
         self.tool_speed = contract["limits"].get("tool_speed") or np.inf
         turns = self.control["orientations"]

@@ -87,7 +87,7 @@ class Blind(Good):
 
 class Waiting(Good):
     def read(self) -> Reading | None:
-        time.sleep(0.006)
+        time.sleep(0.012)
         return super().read()
 
 

@@ -29,6 +29,8 @@ class Driver:
     """Names of settings and their defaults."""
     modes: ClassVar[tuple[str, ...]] = ("joint", "cartesian", "pose", "impedance")
     """Control modes that the driver can follow."""
+    acceleration_share: ClassVar[float] = 1.0
+    """Fraction of the joints' accelerations that set points use. What is left is for following them."""
     rate: float
     """Set points per second; the executor sets it."""
 
