@@ -158,7 +158,7 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
             "versions": {
                 name: versions[name] for name in ("karolos", "python", "numpy", "mujoco-core") if name in versions
             },
-            "commit": code.commit + (" and uncommitted changes" if code.dirty else "") if code else None,
+            "commit": code[0]["commit"] + (" and uncommitted changes" if code[0]["dirty"] else "") if code else None,
         },
     )
 
@@ -183,9 +183,8 @@ def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[st
     """The spec's environments, filmed or not; with the expert's actions at the end of observations."""
     from karolos.environments.build import build_environment
     from karolos.recordings.playing import build_with_expert
-    from karolos.registry import load
 
-    part, cameras = spec.orchestrator, about.get("cameras", {})
+    cameras = about.get("cameras", {})
     build: Any = partial(build_with_expert if expert else build_environment, recipe)
     if films:
         from karolos.recordings.cameras import build_filmed
@@ -195,7 +194,7 @@ def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[st
         seen: dict[str, Any] = {"cameras": tuple(cameras), "rate": whole_rate(about["rate"])}
         [size, *_] = {(one["width"], one["height"]) for one in cameras.values()}
         build = partial(build_filmed, recipe, expert=expert, folder=films.resolve(), size=size, **seen)
-    return load("orchestrators", part.name)(part.settings, build)
+    return spec.orchestrator.make(build)
 
 
 def _run(recorder: Recorder, episodes: int) -> Any:

@@ -39,14 +39,15 @@ SAMPLES = 5
 """Most sampled specs that --dry-run prints."""
 
 
-def _run(
-    plan: Plan, shown: AbstractContextManager[Any], runs: Path, again: str = "with --resume ", **how: Any
-) -> Outcome:
-    """Run what is missing of a plan. After a stop a line says how to continue."""
+def _run(plan: Plan, shown: AbstractContextManager[Any], runs: Path, time_limit: str | None, **how: Any) -> Outcome:
+    """Run what is missing of a plan. After a stop a line says how to continue, and a suite or a matrix ends here."""
+    longest = seconds(time_limit)
     with shown as listener:
-        outcome = plan.run(runs, listener=listener, **how)
+        outcome = plan.run(runs, listener=listener, time_limit=longest, **how)
     if outcome.stop_code and not outcome.complete:
-        say(f"{plan.name} is stopped: the same command {again}continues it")
+        say(f"{plan.name} is stopped: the same command {'with --resume ' if 'existing' in how else ''}continues it")
+        if "existing" in how:
+            raise typer.Exit(outcome.exit_code)
     return outcome
 
 
@@ -80,7 +81,7 @@ def sweep(
         _print_samples(search, json=json)
         return
     shown = display.Quiet() if quiet else display.SweepDisplay(search.sweep.objectives)
-    outcome = _run(search, shown, runs, again="", database=database, jobs=jobs, time_limit=seconds(time_limit))
+    outcome = _run(search, shown, runs, time_limit, database=database, jobs=jobs)
     if search.record is not None:
         report_sweep(search.record, search.front, quiet=quiet, json=json)
     raise typer.Exit(outcome.exit_code)
@@ -225,10 +226,8 @@ def suite(
 
     plan = SuitePlan(found, overrides or (), seconds(budget, "--budget"))
     existing = "resume" if resume else "skip" if if_needed else "ignore"
-    how: dict[str, Any] = {"database": database, "jobs": jobs, "existing": existing, "time_limit": seconds(time_limit)}
-    outcome = _run(plan, display.Quiet() if quiet else display.Plain(), runs, **how)
-    if outcome.stop_code and not outcome.complete:
-        raise typer.Exit(outcome.exit_code)
+    shown = display.Quiet() if quiet else display.Plain()
+    outcome = _run(plan, shown, runs, time_limit, database=database, jobs=jobs, existing=existing)
     from karolos.plans import suite_report as reports
 
     report = reports.suite_report(plan, others)
@@ -237,8 +236,7 @@ def suite(
     if not (quiet or json):
         print(reports.verdict(report))
     tables = [reports.grid_table(report), reports.entries_table(report), reports.measures_table(report)]
-    shown = [one for one in tables if one.rows]
-    print_report(report.rows(), shown, reports.notes(report), quiet=quiet, json=json)
+    print_report(report.rows(), [one for one in tables if one.rows], reports.notes(report), quiet=quiet, json=json)
     path = plan.write_page(reports.suite_page(report, plan.folder))
     if not quiet:
         say(f"wrote {path}")
@@ -290,11 +288,8 @@ def transfer(
     from . import display
 
     matrix, existing = Matrix(found), "resume" if resume else "ignore"
-    how: dict[str, Any] = {"database": database, "jobs": jobs, "existing": existing, "time_limit": seconds(time_limit)}
     shown, told = (display.Quiet(), lambda _: None) if quiet else (display.Plain(), say)
-    outcome = _run(matrix, shown, runs, **how, say=told)
-    if outcome.stop_code and not outcome.complete:
-        raise typer.Exit(outcome.exit_code)
+    outcome = _run(matrix, shown, runs, time_limit, database=database, jobs=jobs, existing=existing, say=told)
     from karolos.plans import matrix_report as reports
     from karolos.report.figures import write_figures
 

@@ -94,7 +94,10 @@ def show(
 @app.command()
 def new(
     kind: Annotated[
-        str, typer.Argument(metavar="KIND", help="robot, gripper, task, agent, buffer, environment or distribution.")
+        str,
+        typer.Argument(
+            metavar="KIND", help="robot, gripper, task, agent, buffer, environment, distribution or driver."
+        ),
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder to write. Default: karolos-NAME.")] = None,

@@ -206,21 +206,17 @@ def zero_shot(
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
     """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
-    from karolos.environments.build import used
-    from karolos.evaluation.playing import FirstSuccesses, evaluate
-    from karolos.evaluation.policies import load_expert
+    from karolos.evaluation.playing import FirstSuccesses, evaluate_alone
+    from karolos.evaluation.policies import expert_policy
     from karolos.report.tables import heading
     from karolos.specification import load_spec
-    from karolos.statistics.intervals import wilson
 
     spec = load_spec(path, overrides)
     testing = spec.testing
     seed = testing.final_seed if seed is None else seed
-    environment, policy = load_expert(spec)
     first, count = FirstSuccesses(), episodes or testing.final_count or testing.episodes
-    with used(environment):
-        found = evaluate(environment, policy, episodes=count, seed=seed, heard=first)
-    low, high = wilson(found.successes_end or 0, found.episodes)
+    found = evaluate_alone(spec, expert_policy, episodes=count, seed=seed, heard=first)
+    low, high = found.interval(found.successes_end or 0)
     row = {"spec": spec.name, "policy": "expert", "seed": seed, "episodes": found.episodes}
     row |= {"success_any": found.success_any, "success_end": found.success_end, "low": low, "high": high}
     row |= {"steps": first.mean, "measures": found.counts.measures}

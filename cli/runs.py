@@ -101,7 +101,12 @@ def list_runs(
         if given and given != ["--json"]:
             hint = "`karolos runs restore RUN` brings a run back"
             raise UsageError(f"--trash takes no {next(one for one in given if one != '--json')}", hint=hint)
-        _list_trash(runs, json=json)
+        from karolos.records.trash import thrown_away
+
+        paths = thrown_away(runs)
+        if not paths:
+            say(f"there are no runs in the trash of {runs}")
+        print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
         return
     if group and columns is not None:
         raise UsageError("--group has columns of its own", hint="leave out --columns")
@@ -202,15 +207,6 @@ def _watch(runs: Path) -> None:
         time.sleep(WATCH_SECONDS)
 
 
-def _list_trash(runs: Path, *, json: bool) -> None:
-    from karolos.records import trash
-
-    paths = trash.thrown_away(runs)
-    if not paths:
-        say(f"there are no runs in the trash of {runs}")
-    print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
-
-
 @app.command()
 def show(
     run: APolicy,
@@ -245,7 +241,9 @@ def show(
             tests = record.tests
             problems = (f"the run folder is missing: {summary.folder}",)
     if json:
-        row = _show_row(record.summary, tests, final)
+        policies = {name: _test_row(final[name]) if name in final else None for name in ("last", "best")}
+        row = record.summary.row() | {"tests": [_test_row(test, near=True) for test in tests]}
+        row["final_test"] = {"seed": final["last"].seed, **policies} if final else None
         about = {key: about[key] for key in ("versions", "machine", "command", "git") if key in about}
         row["stages"] = {stage: {"episodes": n, "success_end": ended / n} for stage, (n, ended) in stages.items()}
         row |= {"transfers": [one.changed_row() for one in transfers], "checkpoints": checkpoints, "problems": problems}
@@ -482,16 +480,6 @@ def push_runs(
         for run in found:
             push(to, RunFolder.open(run.folder))
     print_rows([{"run": run.run, "tracker": to} for run in found], json=json, line="{run}")
-
-
-def _show_row(run: RunSummary, tests: Sequence[Evaluation], final: Mapping[str, Evaluation]) -> dict[str, Any]:
-    """The summary of a run, its tests and its final test as one row."""
-    policies = {name: _test_row(final[name]) if name in final else None for name in ("last", "best")}
-    return {
-        **run.row(),
-        "tests": [_test_row(test, near=True) for test in tests],
-        "final_test": {"seed": final["last"].seed, **policies} if final else None,
-    }
 
 
 def _test_row(test: Evaluation, *, near: bool = False) -> dict[str, Any]:

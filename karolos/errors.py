@@ -9,8 +9,9 @@ Messages and records show no secrets: `recorded` and `redact` decide which texts
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from difflib import get_close_matches
 from typing import Any
 
 LONGEST = 1000
@@ -138,6 +139,21 @@ def described(error: BaseException) -> str:
     except Exception:  # __str__ may raise anything
         lines = []
     return f"{type(error).__name__}: {lines[0]}" if lines else type(error).__name__
+
+
+def closest(name: str, allowed: Iterable[str]) -> str | None:
+    """The allowed name that is most like `name`, if one is similar enough."""
+    lowered = {candidate.lower(): candidate for candidate in allowed}
+    found = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
+    return lowered[found[0]] if found else None
+
+
+def alternatives(name: str, allowed: Iterable[str], *, what: str = "allowed") -> str:
+    """A hint for a name that is not allowed: the closest match, and the allowed names."""
+    listed = list(allowed)
+    match = closest(name, listed)
+    listing = f"{what}: {', '.join(listed) or 'none'}"
+    return f"did you mean {match!r}? {listing}" if match else listing
 
 
 class UsageError(KarolosError):

@@ -238,17 +238,17 @@ def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
     Raises:
         MachineError: the disk is full or the folder cannot be written; the old content stays.
     """
-    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    fresh = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     with writing(path):
         try:
-            with beside.open("w", encoding="utf-8", newline="\n") as file:
+            with fresh.open("w", encoding="utf-8", newline="\n") as file:
                 file.write(text)
                 if durable:
                     file.flush()
                     system.sync(file.fileno())
-            system.replace(beside, path)
+            system.replace(fresh, path)
         finally:
-            beside.unlink(missing_ok=True)  # exists only after an error
+            fresh.unlink(missing_ok=True)  # exists only after an error
         if durable:
             system.sync_folder(path.parent)
 

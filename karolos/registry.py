@@ -10,14 +10,13 @@ import importlib.metadata
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cache, partial
 from typing import Any
 
-from .errors import KarolosError, PluginError, UsageError
+from .errors import KarolosError, PluginError, UsageError, alternatives
 
 KINDS = (
     "robots",
@@ -75,21 +74,6 @@ class PluginEntry:
 def singular(kind: str) -> str:
     """The name of a kind in specs and messages: "robot" for "robots"."""
     return kind.removesuffix("s")
-
-
-def closest(name: str, allowed: Iterable[str]) -> str | None:
-    """The allowed name that is most like `name`, if one is similar enough."""
-    lowered = {candidate.lower(): candidate for candidate in allowed}
-    found = get_close_matches(name.lower(), lowered, n=1, cutoff=0.6)
-    return lowered[found[0]] if found else None
-
-
-def alternatives(name: str, allowed: Iterable[str], *, what: str = "allowed") -> str:
-    """A hint for a name that is not allowed: the closest match, and the allowed names."""
-    listed = list(allowed)
-    match = closest(name, listed)
-    listing = f"{what}: {', '.join(listed) or 'none'}"
-    return f"did you mean {match!r}? {listing}" if match else listing
 
 
 def entries(kind: str) -> tuple[PluginEntry, ...]:

@@ -3,6 +3,8 @@
 import os
 import signal
 from collections.abc import Callable, Iterator
+from functools import cache
+from pathlib import Path
 
 import pytest
 from hypothesis import settings
@@ -10,6 +12,7 @@ from support.closing import close_all
 from support.fake_plugins import FAKES
 
 from karolos import registry
+from karolos.records import provenance
 
 Install = Callable[..., None]
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch: two that share a busy core wait for each other
@@ -18,11 +21,27 @@ settings.load_profile("without a clock")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
 
 
+@pytest.fixture(scope="session", autouse=True)
+def git_is_asked_once() -> Iterator[None]:
+    """The state of this checkout is read once: each of the hundreds of runs would call git three times."""
+    read, here = provenance.code, Path.cwd()
+    once = cache(read)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(provenance, "code", lambda folder: (once if folder == here else read)(folder))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def environments_are_closed() -> Iterator[None]:
     """Close what a test has `opened`."""
     yield
     close_all()
+
+
+@pytest.fixture(scope="session")
+def proposals(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of caches, in which what is assumed of an arm's file is found by later tests: it takes two seconds."""
+    return tmp_path_factory.mktemp("caches")
 
 
 @pytest.fixture

@@ -76,9 +76,12 @@ def test_a_fault_is_found(line: str) -> None:
 RUN = "run karolos:smoke/toy orchestrator.processes=1 training.steps=300 --quiet"
 CALL = """
 import sys
+from pathlib import Path
 from karolos_cli import main
+first = ""
 for words in sys.argv[1:]:
-    sys.argv = ["karolos", *words.split()]
+    first = first or next((path.name for path in Path("runs").glob("*-s0-*")), "")
+    sys.argv = ["karolos", *words.replace("FIRST", first).split()]
     try:
         main()
     except SystemExit as end:
@@ -87,7 +90,7 @@ for words in sys.argv[1:]:
 
 
 def run_here(folder: Path, *commands: str, **environment: str) -> str:
-    """Call karolos in a folder, one command after the other; what it prints."""
+    """Call karolos in a folder, one command after the other; FIRST is the run of seed 0. What it prints."""
     call = [sys.executable, "-X", "warn_default_encoding", "-c", CALL, *commands]
     done = subprocess.run(
         call, cwd=folder, env=os.environ | environment, capture_output=True, encoding="utf-8", check=False
@@ -110,11 +113,10 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_runs_are_made_stopped_resumed_and_compared(as_system: str, there: Path, tmp_path: Path) -> None:
     """Two processes of runs with a worker each; the training episodes are those of Linux."""
     environment = {"KAROLOS_AS": as_system, "PYTHONPATH": os.pathsep.join([str(ELSEWHERE), str(ROOT)])}
-    run_here(tmp_path, f"{RUN} seeds=[0,1] --jobs 2", **environment)
+    commands = "compare smoke_toy", "runs rm FIRST", "runs restore FIRST", "runs list --json"
+    told = run_here(tmp_path, f"{RUN} seeds=[0,1] --jobs 2", *commands, **environment)
     (elsewhere,) = (tmp_path / "runs").glob("*-s0-*")
     assert (elsewhere / "episodes.jsonl").read_bytes() == (there / "episodes.jsonl").read_bytes()
-    commands = "compare smoke_toy", f"runs rm {elsewhere.name}", f"runs restore {elsewhere.name}", "runs list --json"
-    told = run_here(tmp_path, *commands, **environment)
     assert "smoke_toy" in told
     rows = [json.loads(line) for line in told.splitlines() if line.startswith('{"run"')]
     assert [row["state"] for row in rows] == ["finished"] * 2

@@ -24,7 +24,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run the command; the exit code."""
     parser = argparse.ArgumentParser(prog="karolos-deploy", description="Run a karolos bundle on a robot.")
     parser.add_argument("bundle", type=Path, help="folder that `karolos export RUN --bundle` wrote")
-    parser.add_argument("--driver", default="simulation", help="simulation, ur, or one that a package installs")
+    parser.add_argument("--driver", default="simulation", help="simulation, ur, franka, or one that a package installs")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help="a setting of the driver")
     parser.add_argument("--move", action="store_true", help="move the robot; otherwise actions are only shown")
     parser.add_argument("--rate", type=float, default=None, help="set points per second (default: 240, ur 500)")

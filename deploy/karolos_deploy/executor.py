@@ -115,7 +115,8 @@ class Executor:
     def _run(self, outcome: Outcome, goal: Array, move: bool, steps: int) -> None:
         bundle, driver = self.bundle, self.driver
         contract, chain, cycle = bundle.contract, bundle.chain, 1 / self.rate
-        watch, observer, motion = Watch(contract, self.late), Observer(contract), Motion(contract, chain)
+        watch, observer = Watch(contract, self.late), Observer(contract)
+        motion = Motion(contract, chain, driver.acceleration_share)
         latest = self._first(watch)
         watch.start(latest, contract)
         at = chain.at(latest.positions)

@@ -48,6 +48,7 @@ class Watch:
         self._box = np.array(contract["workspace"]) if contract["control"]["mode"] != "joint" else None
         self._names = [joint["name"] for joint in joints]
         self._columns = {one["name"]: (one["size"], one["unit"]) for one in contract["observation"]}
+        self._measured = [one["name"] for one in contract["observation"] if one["formula"] == "measured"]
         self._before: Reading | None = None
         self._news = 0.0
 
@@ -119,6 +120,9 @@ class Watch:
             raise Fault("force", f"{force:.1f} N at the tool, allowed are {self._force:g}")
 
     def _finite(self, reading: Reading) -> None:
+        for name in self._measured:
+            if name not in reading.measured:
+                raise Fault("not measured", f"no camera or fixture tells {name}, which the policy observes")
         numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
         numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time]), **reading.measured}
         for name, values in numbers.items():

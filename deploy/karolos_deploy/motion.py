@@ -32,9 +32,10 @@ class Motion:
     Args:
         contract: of the bundle.
         chain: of the arm.
+        share: fraction of the joints' accelerations that is used.
     """
 
-    def __init__(self, contract: Mapping[str, Any], chain: Chain) -> None:
+    def __init__(self, contract: Mapping[str, Any], chain: Chain, share: float = 1.0) -> None:
         self.control, self.chain = contract["control"], chain
         self.mode: str = self.control["mode"]
         self.period = 1 / self.control["rate"]
@@ -42,6 +43,7 @@ class Motion:
         self.lower, self.upper, self.speed, self.acceleration, self.home = (
             np.array([joint[key] for joint in joints]) for key in ("lower", "upper", "velocity", "acceleration", "home")
         )
+        self.acceleration = share * self.acceleration
         self.low, self.high = np.array(contract["workspace"])
         self.tool_speed = contract["limits"].get("tool_speed") or np.inf
         turns = self.control["orientations"]
@@ -132,13 +134,12 @@ class Motion:
         wanted = np.clip(changes / self.period, -SPEED_SHARE * self.speed, SPEED_SHARE * self.speed)
         share = min(1.0, float((rise / np.maximum(np.abs(wanted - before), 1e-12)).min()))
         speed = before + share * (wanted - before)
-        braking = np.maximum(BRAKING_TIME, self.speed / self.acceleration)
+        braking, mean = np.maximum(BRAKING_TIME, self.speed / self.acceleration + self.period), rise / 4
         for end, sign in ((self.upper, 1.0), (self.lower, -1.0)):
             room = sign * (end - positions)
+            left = np.maximum(self.acceleration * (room - sign * before * self.period / 2), 0.0)
             slow = np.where(
-                room > 0,
-                np.minimum(room / BRAKING_TIME, np.sqrt(self.acceleration * np.abs(room))),
-                room / BRAKING_TIME,
+                room > 0, np.minimum(room / BRAKING_TIME, np.sqrt(mean**2 + left) - mean), room / BRAKING_TIME
             )
             speed = np.where(
                 braking * sign * speed > room,

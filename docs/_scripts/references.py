@@ -28,7 +28,7 @@ from karolos.plans.matrix import Matrix
 from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
 from karolos.report.tables import count, duration, estimate
-from karolos.specification import load_spec, spec_from_dict
+from karolos.specification import Spec, load_spec, spec_from_dict
 from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
 
@@ -67,15 +67,21 @@ def command(folder: RunFolder) -> tuple[str, tuple[str, ...]]:
     return words[2], tuple(word for word in words[3:] if "=" in word and not word.startswith(("-", "name=", "seeds=")))
 
 
+@cache
+def shipped_spec(path: str, changed: tuple[str, ...]) -> Spec:
+    """A spec as it ships, with some settings changed."""
+    return load_spec(ROOT / path, changed)
+
+
 def _steps(path: str, changed: tuple[str, ...]) -> int | None:
     """The steps of a variant that is compared in tests, not in final ones: it trains for less or has no final test."""
-    return load_spec(ROOT / path, changed).training.steps if any(word.startswith(SHORTER) for word in changed) else None
+    return shipped_spec(path, changed).training.steps if any(word.startswith(SHORTER) for word in changed) else None
 
 
 @cache
 def shipped_hash(path: str, changed: tuple[str, ...]) -> str:
     """The hash of a spec as it ships, with some settings changed."""
-    return load_spec(ROOT / path, changed).hash()
+    return shipped_spec(path, changed).hash()
 
 
 def faults(folder: RunFolder) -> Iterator[str]:

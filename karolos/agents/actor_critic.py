@@ -15,6 +15,7 @@ from torch import Tensor
 
 from ..core import Buffer, Deployed, Discrete, SeedTree, Signature, State
 from ..core import Settings as BaseSettings
+from ..core.settings import LATER
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
@@ -23,6 +24,9 @@ from .networks import MLP, NetworkShape
 from .noise import Noise
 from .optimisation import Metrics
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
+
+GOLDEN = (5**0.5 - 1) / 2
+"""The golden ratio, less 1."""
 
 
 class ActorCriticSettings(OptimiserSettings):
@@ -44,6 +48,15 @@ class ActorCriticSettings(OptimiserSettings):
         False,
         description="behaviour cloning: the policy imitates all demonstrated actions, whatever the critics think, and "
         "maximises no value",
+        json_schema_extra=LATER,
+    )
+    quiet: float = Setting(
+        0.0,
+        ge=0,
+        le=1,
+        description="share of the environments in which training acts without noise and random actions; such episodes "
+        "show how precise the policy is",
+        json_schema_extra=LATER,
     )
     policy_average: float = Setting(
         1.0,
@@ -58,11 +71,6 @@ class ActorCriticSettings(OptimiserSettings):
         if self.cloning and not self.imitation:
             raise ValueError("cloning needs imitation above 0, the weight of what it learns")
         return self
-
-    def identity(self) -> dict[str, Any]:
-        """The settings that results depend on; `cloning` only where it is set."""
-        known = super().identity()
-        return known if self.cloning else {name: value for name, value in known.items() if name != "cloning"}
 
 
 class Critic:
@@ -171,14 +179,21 @@ class ActorCritic(TorchAgent):
         return torch.tanh(self.average(inputs, exact=True)[:, : self.actions])
 
     def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:
-        """The policy's actions with noise, each replaced with a probability by a uniform one in [-1, 1]."""
+        """The policy's actions with noise, each replaced with a probability by a uniform one in [-1, 1].
+
+        In the quiet environments, a fixed share of all, the policy acts as it is. Source: mixed exploration (Li et al.
+        2023, arXiv 2307.12983), of which this is the case with two sizes of noise.
+        """
         output = self.policy(inputs, exact=True)
         action = self.noisy(output, self.noise.draw(inputs, self.generator, environments))
-        share = self.settings.random_actions
-        if share == 0:
-            return action
-        drawn = torch.rand((len(action), self.actions + 1), generator=self.generator, device=self.device)
-        return torch.where(drawn[:, :1] < share, drawn[:, 1:] * 2 - 1, action)
+        if share := self.settings.random_actions:
+            drawn = torch.rand((len(action), self.actions + 1), generator=self.generator, device=self.device)
+            action = torch.where(drawn[:, :1] < share, drawn[:, 1:] * 2 - 1, action)
+        if self.settings.quiet and environments is not None:
+            # Multiples of the golden ratio spread evenly: the share holds for any number of environments.
+            quiet = torch.from_numpy(environments * GOLDEN % 1 < self.settings.quiet).to(self.device)
+            action = torch.where(quiet.unsqueeze(1), torch.tanh(output[:, : self.actions]), action)
+        return action
 
     @abstractmethod
     def noisy(self, output: Tensor, noise: Tensor) -> Tensor:

@@ -115,7 +115,17 @@ class Hindsight:
         Returns:
             The indices of these transitions.
         """
-        goal_slots = self._goal_slots(stored, slots, storage, generator)
+        # The slot of each transition's new goal: a stored step of its own episode.
+        step = stored["step"].astype(np.int64)
+        remaining = storage.lengths(slots, stored) - step  # including this step and the last
+        if self.settings.strategy == "final":
+            later = remaining - 1
+        elif self.settings.strategy == "future":
+            # An integer below `remaining`; scaling a float takes a third of the time of generator.integers.
+            later = (generator.random(slots.size) * remaining).astype(np.int64)
+        else:  # the ring may have overwritten the episode's first steps
+            later = generator.integers(-np.minimum(step, storage.older(slots)), remaining)
+        goal_slots = storage.shifted(slots, later)
         if self.settings.next_share:
             # Source: Özgür et al. 2025, "Next-Future", arXiv 2504.11247, where it is one new goal in four.
             achieves_it = generator.random(slots.size, np.float32) < self.settings.next_share
@@ -137,20 +147,6 @@ class Hindsight:
         )
         desired[chosen] = goals
         return chosen
-
-    def _goal_slots(
-        self, stored: StoredTransitions, slots: Slots, storage: Storage, generator: np.random.Generator
-    ) -> Array:
-        """The slot of each transition's new goal: a stored step of its own episode."""
-        step = stored["step"].astype(np.int64)
-        remaining = storage.lengths(slots, stored) - step  # including this step and the last
-        if self.settings.strategy == "final":
-            return storage.shifted(slots, remaining - 1)
-        if self.settings.strategy == "future":
-            # An integer below `remaining`; scaling a float takes a third of the time of generator.integers.
-            return storage.shifted(slots, (generator.random(slots.size) * remaining).astype(np.int64))
-        before = np.minimum(step, storage.older(slots))  # the ring may have overwritten the episode's first steps
-        return storage.shifted(slots, generator.integers(-before, remaining))
 
 
 def relabelled_reward(

@@ -167,9 +167,14 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     found = [problem for contender in contenders for problem in contender.problems]
     found += _different(contenders, "they do different tasks", _task)
     found += _different(contenders, "different physics engines (environment.engine)", _engine)
-    found += _unfinished(contenders)
+    for contender in contenders:
+        if left := [run.summary for run in contender.runs if not run.finished]:
+            named = ", ".join(f"{run.run} {run.state} at {run.steps:,} steps" for run in left)
+            found.append(f"{contender.label}: {len(left)} of {len(contender.runs)} runs are not finished: {named}")
     found += _different(contenders, "they ended at different steps", lambda run: f"{run.tests[-1].steps:,}")
-    found += _without_return(contenders)
+    for contender in contenders:
+        if unknown := [run.summary.run for run in contender.runs if math.isnan(run.reported("return"))]:
+            found.append(f"{contender.label}: no finite return, so no mean is known: {', '.join(unknown)}")
     counts = [len(contender.runs) for contender in contenders]
     if len(set(counts)) > 1:
         found.append(f"unequal numbers of seeds: {_each(contenders, counts)}")
@@ -177,34 +182,14 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
     found += _different(
         contenders, "figures of different tests", lambda run: "final test" if run.summary.final else "last test"
     )
-    for key, what in (
-        ("seed", "tests on different episodes (testing.seed)"),
-        ("interval", "tests at different intervals, which steps to a ratio depend on (testing.interval)"),
-    ):
-        found += _different(contenders, what, partial(_testing, key))
+    what = "tests on different episodes (testing.seed)"
+    found += _different(contenders, what, lambda run: (run.spec.get("testing") or {}).get("seed"))
+    what = "tests at different intervals, which steps to a ratio depend on (testing.interval)"
+    found += _different(contenders, what, lambda run: (run.spec.get("testing") or {}).get("interval"))
     for name in sorted({name for contender in contenders for run in contender.runs for name in run.versions}):
         found += _different(contenders, f"different versions of {name}", partial(_version, name))
     found += _different(contenders, "made from different code (git commit, + with changes)", lambda run: run.commit)
     return tuple(found)
-
-
-def _unfinished(contenders: Sequence[Contender]) -> list[str]:
-    found = []
-    for contender in contenders:
-        open_ = [run.summary for run in contender.runs if not run.finished]
-        if open_:
-            named = ", ".join(f"{run.run} {run.state} at {run.steps:,} steps" for run in open_)
-            found.append(f"{contender.label}: {len(open_)} of {len(contender.runs)} runs are not finished: {named}")
-    return found
-
-
-def _without_return(contenders: Sequence[Contender]) -> list[str]:
-    found = []
-    for contender in contenders:
-        named = [run.summary.run for run in contender.runs if math.isnan(run.reported("return"))]
-        if named:
-            found.append(f"{contender.label}: no finite return, so no mean is known: {', '.join(named)}")
-    return found
 
 
 def _different(contenders: Sequence[Contender], what: str, of: Callable[[RunRecord], object]) -> list[str]:
@@ -219,10 +204,6 @@ def _different(contenders: Sequence[Contender], what: str, of: Callable[[RunReco
 
 def _each(contenders: Sequence[Contender], values: Sequence[object]) -> str:
     return "; ".join(f"{contender.label} {value}" for contender, value in zip(contenders, values, strict=True))
-
-
-def _testing(key: str, run: RunRecord) -> object:
-    return (run.spec.get("testing") or {}).get(key)
 
 
 def _version(package: str, run: RunRecord) -> str | None:

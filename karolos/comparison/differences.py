@@ -75,8 +75,8 @@ def of_run(folder: RunFolder) -> Side:
 
 def of_spec(spec: Spec, name: str) -> Side:
     """What a run of this spec would be made from now, in the current folder."""
-    code = provenance.code(Path.cwd())
-    commit, patch = (code.commit, code.diff) if code else (None, "")
+    git, patch = provenance.code(Path.cwd()) or ({}, "")
+    commit = git.get("commit")
     dump = spec.alone().dump()
     sources = provenance.sources(provenance.packages(dump)) | spec.files()
     return Side(name, dump, provenance.versions(), sources, None, commit, patch)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal, get_args
 
 import numpy as np
@@ -245,6 +246,14 @@ def _scores(
         seconds=float(np.mean([run.summary.seconds for run in runs])),
         updates_per_second=float(np.mean(rates)) if rates else None,
     )
+
+
+@lru_cache(maxsize=4096)
+def estimate_alone(values: tuple[float, ...], episodes: int | None) -> Estimate | None:
+    """The number and interval that `compare` shows of an experiment alone: success of `episodes`, or returns."""
+    name = "return" if episodes is None else "end"
+    tree = SeedTree(0).child("compare").child(0).child(name)
+    return estimate([values], aggregates.mean, tree, episodes) if values else None
 
 
 def estimate(

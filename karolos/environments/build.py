@@ -18,7 +18,7 @@ from ..core import Array, Environment, Expert, Field, FloatArray, Layout, SeedTr
 from ..core.environment import close
 from ..errors import PluginError, UsageError
 from ..randomization.distributions import Choice
-from ..registry import blaming, load
+from ..registry import blaming
 from ..specification.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 
@@ -65,11 +65,11 @@ def _build(recipe: Recipe) -> Environment:
     if part.name != "robot_task":
         if recipe.robot or recipe.task or recipe.randomization:
             raise UsageError(f"environment {part.name!r} takes no robot, task or randomization", setting="environment")
-        environment: Environment = _instance(part)
+        environment: Environment = part.make()
         return environment
     joined, distributions = _join(recipe), dict(recipe.randomization)
     fixed = [name for name in distributions if name not in joined.declared and is_setting(recipe, name)]
-    live = {name: _instance(part) for name, part in distributions.items() if name not in fixed}
+    live = {name: part.make() for name, part in distributions.items() if name not in fixed}
     if not fixed:
         joined.randomize(live)
         return joined
@@ -80,7 +80,7 @@ def _build(recipe: Recipe) -> Environment:
     if differences := layout_differences(joined.signature, drawn, learning=True):  # tests draw nothing
         what = "tests, which draw nothing, would differ from training: " + "; ".join(differences)
         raise UsageError(what, setting=f"randomization.{fixed[0]}", hint="change the setting itself, too")
-    return VariedRobotTask(variants, {name: _instance(distributions[name]) for name in fixed})
+    return VariedRobotTask(variants, {name: distributions[name].make() for name in fixed})
 
 
 def _join(recipe: Recipe) -> RobotTask:
@@ -89,14 +89,8 @@ def _join(recipe: Recipe) -> RobotTask:
     if recipe.robot is None or recipe.task is None:
         missing = "robot" if recipe.robot is None else "task"
         raise UsageError(f"no {missing} is given", setting="environment", hint="robot_task joins a robot and a task")
-    plugin = load(part.kind, part.name)
-    joined: RobotTask = plugin(part.settings, robot=_instance(recipe.robot), task=_instance(recipe.task))
+    joined: RobotTask = part.make(robot=recipe.robot.make(), task=recipe.task.make())
     return joined
-
-
-def _instance(part: Part) -> Any:
-    """An instance of the plugin that the registry holds under this name."""
-    return load(part.kind, part.name)(part.settings)
 
 
 MOST_WORLDS = 8
@@ -117,12 +111,23 @@ class VariedRobotTask(Environment):
     """
 
     def __init__(self, variants: Mapping[tuple[float, ...], RobotTask], distributions: Mapping[str, Choice]) -> None:
-        _check_alike({values: variant.signature for values, variant in variants.items()}, list(distributions))
         self._variants = variants
         self._distributions = distributions
         self._drawn, self._current = next(iter(variants.items()))
-        signature = self._current.signature
-        settings = Layout(tuple(Field(name, 1) for name in distributions))
+        signature, names = self._current.signature, list(distributions)
+        for values, variant in variants.items():  # the first of them that is not alike differs in one setting
+            differences = layout_differences(variant.signature, signature, learning=True)
+            if not differences and _rules(variant.signature) != _rules(signature):
+                differences = ["episodes have another length, or another rule of reward and success"]
+            if differences:
+                index = next(index for index, value in enumerate(values) if value != self._drawn[index])
+                raise UsageError(
+                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                    + "; ".join(differences),
+                    setting=f"randomization.{names[index]}",
+                    hint=f"give it one value: {names[index]}={self._drawn[index]:g}",
+                )
+        settings = Layout(tuple(Field(name, 1) for name in names))
         self.signature = replace(signature, parameters=signature.parameters + settings)
         self.rate = self._current.rate
 
@@ -204,22 +209,6 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
             variant = replace(variant, robot=changed) if key == "robot" else replace(variant, task=changed)
         found[values] = variant
     return found
-
-
-def _check_alike(signatures: Mapping[tuple[float, ...], Signature], names: Sequence[str]) -> None:
-    first, signature = next(iter(signatures.items()))
-    for values, other in signatures.items():  # the first of them that is not alike differs in one setting
-        differences = layout_differences(other, signature, learning=True)
-        if not differences and _rules(other) != _rules(signature):
-            differences = ["episodes have another length, or another rule of reward and success"]
-        if differences:
-            index = next(index for index, value in enumerate(values) if value != first[index])
-            raise UsageError(
-                "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
-                + "; ".join(differences),
-                setting=f"randomization.{names[index]}",
-                hint=f"give it one value: {names[index]}={first[index]:g}",
-            )
 
 
 def _rules(signature: Signature) -> tuple[Any, ...]:

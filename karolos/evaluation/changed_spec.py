@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import ceil
 
 from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
 from ..environments.build import opened, used
 from ..environments.robot_task import RobotTask
-from ..errors import UsageError
+from ..errors import UsageError, closest
 from ..records import RunFolder
-from ..registry import closest
-from ..robots.settings import ArmSettings
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import FILES, RANDOMIZATION
 from ..training.assembly import located
@@ -100,17 +98,16 @@ def _with_time(spec: Spec, environment: Environment) -> Spec:
 
     Actions are worth as much as in training. (With smaller ones a policy is slower yet: docs/what_was_tried.md.)
     """
-    if not isinstance(environment, RobotTask) or spec.task is None:
+    if not isinstance(environment, RobotTask) or spec.robot is None or spec.task is None:
         return spec
     own = getattr(getattr(environment.robot, "model", None), "tool_step", None)
-    asked = min(environment.robot.tool_step, ArmSettings.model_fields["tool_step"].default)
+    asked = min(environment.robot.tool_step, spec.robot.plugin.Settings.model_fields["tool_step"].default)
     if own is None or asked <= own:
         return spec
     usual, slower = environment.signature.max_steps, asked / own
     steps = ceil(usual * slower)
     warnings.warn(f"the arm is {slower:.1f} times slower: {steps} control steps instead of {usual}", stacklevel=3)
-    settings = spec.task.settings.model_copy(update={"max_steps": steps})
-    return spec.model_copy(update={"task": replace(spec.task, settings=settings)})
+    return spec.having("task", max_steps=steps)
 
 
 def load_player(

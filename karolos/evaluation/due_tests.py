@@ -20,8 +20,7 @@ from ..orchestrator.worker import isolate
 from ..records import checkpoint
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict
-from ..system import lower_priority
-from ..training.assembly import make_agent, make_orchestrator
+from ..training.assembly import make_agent, make_orchestrator, use_threads
 from .testing import play_episodes
 
 NICENESS = 10
@@ -99,7 +98,8 @@ class EvaluationProcess:
 
     def __init__(self, spec: Spec) -> None:
         self._spec = json.dumps(spec.dump())
-        self._pool = ProcessPoolExecutor(1, multiprocessing.get_context("spawn"), initializer=_begin)
+        context = multiprocessing.get_context("spawn")
+        self._pool = ProcessPoolExecutor(1, context, initializer=isolate, initargs=(NICENESS,))
 
     def submit(self, test: DueEvaluation) -> Future[tuple[Evaluation, list[Failure]]]:
         """Begin a test; its result comes with the failures of environments.
@@ -121,11 +121,6 @@ class EvaluationProcess:
             process.join()
 
 
-def _begin() -> None:
-    isolate()
-    lower_priority(NICENESS)
-
-
 def _play(resolved: str, agent: bytes, test: DueEvaluation) -> tuple[Evaluation, list[Failure]]:
     """Play a test in the second process."""
     failures: list[Failure] = []
@@ -135,19 +130,12 @@ def _play(resolved: str, agent: bytes, test: DueEvaluation) -> tuple[Evaluation,
 
 @cache
 def _evaluator(resolved: str) -> Evaluator:
-    from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
-
     spec = spec_from_dict(json.loads(resolved))
-    use_threads(spec.training.threads or 1)
-    evaluator = Evaluator(_with_fewer_workers(spec))
+    use_threads(spec)
+    part = spec.orchestrator
+    if part.name == "local" and max(part.settings.processes, 1) * part.settings.threads == 1:
+        # No worker steps what this process can step itself instead of waiting.
+        spec = spec.having("orchestrator", processes=0)
+    evaluator = Evaluator(spec)
     Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers
     return evaluator
-
-
-def _with_fewer_workers(spec: Spec) -> Spec:
-    """The spec, in whose second process no worker steps what the process itself can step instead of waiting."""
-    part = spec.orchestrator
-    if part.name != "local" or max(part.settings.processes, 1) * part.settings.threads > 1:
-        return spec
-    settings = part.settings.model_copy(update={"processes": 0})
-    return spec.model_copy(update={"orchestrator": replace(part, settings=settings)})

@@ -10,9 +10,11 @@ from statistics import fmean
 import numpy as np
 
 from ..core import Environment, FloatArray
+from ..environments.build import used
 from ..errors import UsageError
 from ..records.evaluation import Evaluation
-from .policies import Policy
+from ..specification import Spec
+from .policies import Policy, environment_of
 from .testing import measured, test_seeds
 
 
@@ -87,6 +89,19 @@ def play_one(environment: Environment, policy: Policy, episode: int, seed: int) 
         step, total = step + 1, total + float(state.reward)
         over = bool(state.terminated or state.truncated)
         yield Moment(episode, step, bool(state.success), over, total, environment)
+
+
+def evaluate_alone(
+    spec: Spec,
+    make: Callable[[Environment], Policy],
+    *,
+    episodes: int,
+    seed: int,
+    heard: Callable[[Moment], object] = lambda _: None,
+) -> Evaluation:
+    """`evaluate` a policy that an environment of the spec gives, such as its expert."""
+    with used(environment_of(spec)) as environment:
+        return evaluate(environment, make(environment), episodes=episodes, seed=seed, heard=heard)
 
 
 def evaluate(

@@ -15,12 +15,12 @@ from ..core import Agent, Deployed, Discrete, Environment, Signature, State, Ste
 from ..core.seeding import SeedTree
 from ..environments.build import Facts, build_environment, used
 from ..environments.robot_task import RobotTask
-from ..errors import MachineError, NoSuchRunError, UsageError
+from ..errors import MachineError, NoSuchRunError, UsageError, closest
 from ..files import read_object
 from ..records import RunFolder, checkpoint, provenance
 from ..records.evaluation import Evaluation
 from ..records.shipped import POLICY, is_shipped
-from ..registry import blaming, closest, load
+from ..registry import blaming
 from ..simulation.engines import ENGINES, PhysicsEngine, installed_one
 from ..specification import Spec, load_spec, spec_from_dict
 from ..specification.files import SHIPPED, SPEC_SUFFIXES, find_spec, shipped_specs
@@ -184,8 +184,7 @@ def playable(spec: Spec) -> Spec:
     engine = engine_of(spec)
     if engine is None or engine.installed:
         return spec
-    settings = spec.environment.settings.model_copy(update={"engine": installed_one(engine.name)})
-    return spec.model_copy(update={"environment": replace(spec.environment, settings=settings)})
+    return spec.having("environment", engine=installed_one(engine.name))
 
 
 def has_window(spec: Spec) -> bool:
@@ -209,7 +208,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
         warnings.warn(f"{folder.id} was made before {', '.join(changed)} was edited: results may differ", stacklevel=2)
     with used(environment_of(playable(spec))) as environment:
         facts = Facts.of(environment)
-    agent: Agent = load("agents", spec.agent.name)(spec.agent.settings, facts.signature, SeedTree(0), "cpu")
+    agent: Agent = spec.agent.make(facts.signature, SeedTree(0), "cpu")
     with checkpoint.fitting(f"{folder.id}, checkpoint {learned.checkpoint}"):
         if isinstance(learned.state, Deployed):
             agent.adopt(learned.state)

@@ -16,7 +16,7 @@ from ..records.evaluation import Evaluation
 from ..records.run_records import timestamp
 from ..records.shipped import is_shipped
 from ..specification import Spec
-from ..training.assembly import make_orchestrator
+from ..training.assembly import make_orchestrator, use_threads
 from .changed_spec import changed_spec, engine_note
 from .policies import engine_of, load_agent, playable
 from .testing import play_episodes, test_seeds
@@ -116,8 +116,6 @@ def zero_shot_test(
         RunError: the checkpoint is missing or damaged.
         MachineError: the result cannot be written.
     """
-    from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
-
     saved = load_agent(folder, checkpoint)
     here = playable(saved.spec)
     if here is not saved.spec and (engine := engine_of(here)):
@@ -127,7 +125,7 @@ def zero_shot_test(
         on_warning(note)
     seed = spec.testing.final_seed if seed is None else seed
     count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
-    use_threads(spec.training.threads or 1)  # as in training: sums in another order could change an episode
+    use_threads(spec)
 
     def play(spec: Spec, *, drawing: bool) -> Evaluation:
         with make_orchestrator(spec, randomize=drawing) as orchestrator:

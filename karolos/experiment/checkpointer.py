@@ -14,7 +14,6 @@ from ..records import RunFolder, checkpoint
 from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..training.training import Training
-from .events import Announce
 from .resume import LAST, PREVIOUS
 from .writer import RunWriter
 
@@ -34,14 +33,12 @@ class Checkpointer:
         spec: of the run.
         seed: the run's.
         pending: tests without a recorded result, which the caller changes; `last` contains them.
-        announce: is told when a checkpoint `last` is written.
     """
 
     writer: RunWriter
     spec: Spec
     seed: int
     pending: list[DueEvaluation]
-    announce: Announce
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
     diverged: list[bool] = field(default_factory=list, init=False)
@@ -105,7 +102,7 @@ class Checkpointer:
         """Write `last`: what the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
         if self._saved_at == (training.steps, len(self.pending)):
             return
-        self.announce("checkpoint", 0, 1)
+        self.writer.announce("checkpoint", 0, 1)
         parts = {
             "agent": training.agent.state(),
             "buffer": training.buffer.state(),
@@ -123,7 +120,7 @@ class Checkpointer:
         self.last_is_whole = self._write(LAST, parts, training, {"episodes_bytes": self._folder.episodes_bytes()})
         if self.last_is_whole:
             self._saved_at = training.steps, len(self.pending)
-        self.announce("checkpoint", 1, 1)
+        self.writer.announce("checkpoint", 1, 1)
 
     def require(self, training: Training) -> None:
         """Try again to write `last` if it is not on the disk. Raises MachineError if that fails again."""

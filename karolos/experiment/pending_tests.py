@@ -14,7 +14,6 @@ from ..evaluation.testing import test_seeds
 from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..training.training import Training
-from .events import Announce
 from .signals import StopRequest, StopRequestedError
 from .writer import RunWriter
 
@@ -46,10 +45,9 @@ class PendingTests:
         spec: of the run.
         training: is tested.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
-        writer: of the run, for warnings.
+        writer: of the run, for warnings and the progress of tests.
         stop: a request breaks off the part that is played here. The tests stay pending.
-        announce: is called with the progress of a test.
-        beside: whether a second process may be started.
+        two_processes: whether a second process may be started.
     """
 
     def __init__(
@@ -59,12 +57,11 @@ class PendingTests:
         pending: list[DueEvaluation],
         writer: RunWriter,
         stop: StopRequest,
-        announce: Announce,
         *,
-        beside: bool,
+        two_processes: bool,
     ) -> None:
         self._spec, self._training, self.pending = spec, training, pending
-        self._writer, self._stop, self._announce = writer, stop, announce
+        self._writer, self._stop = writer, stop
         self.activity = "testing"
         """For announcements."""
         self._any_finished = False
@@ -75,9 +72,9 @@ class PendingTests:
         self._here: DueEvaluation | None = None
         """The part that this process plays."""
         self._process: EvaluationProcess | None = None
-        self._beside: tuple[DueEvaluation, Future[tuple[Evaluation, list[Failure]]]] | None = None
+        self._there: tuple[DueEvaluation, Future[tuple[Evaluation, list[Failure]]]] | None = None
         """The part that the second process plays, and its result."""
-        self._processes_left = MAX_LOST_PROCESSES if beside else 0
+        self._processes_left = MAX_LOST_PROCESSES if two_processes else 0
         self._played, self._spent = 0, 0.0
         """Episodes that were completed in this process, and the seconds that they took."""
 
@@ -115,18 +112,18 @@ class PendingTests:
 
     def advance(self) -> None:
         """Receive what the second process has played, and give it the next part. Does not wait."""
-        if self._process is None or (self._beside is not None and not self._beside[1].done()):
+        if self._process is None or (self._there is not None and not self._there[1].done()):
             return
         try:
-            if self._beside is not None:
-                part, future = self._beside
+            if self._there is not None:
+                part, future = self._there
                 result, failures = future.result()
                 for failure in failures:
                     self._writer.warn_of_failure(failure)
                 self._record(part, result)
-                self._beside = None
+                self._there = None
             if (free := next(self._parts(taken=False), None)) is not None:
-                self._beside = free, self._process.submit(free)
+                self._there = free, self._process.submit(free)
         except Exception as error:  # whatever it is, it must not cost the run
             self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
             self._processes_left -= 1
@@ -138,9 +135,9 @@ class PendingTests:
 
     def _close_process(self) -> None:
         if self._process is not None:
-            self._process.close(kill=self._beside is not None)
+            self._process.close(kill=self._there is not None)
             self._process = None
-        self._beside = None
+        self._there = None
 
     def _is_over(self, test: DueEvaluation) -> bool:
         return all(part in self._results for part in test.parts)
@@ -151,7 +148,7 @@ class PendingTests:
 
     def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
         """The parts without a result, in order; `taken`: also those that a process plays."""
-        playing = () if taken else (self._here, self._beside and self._beside[0])
+        playing = () if taken else (self._here, self._there and self._there[0])
         every = (part for test in self.pending for part in test.parts)
         return (part for part in every if part not in self._results and part not in playing)
 
@@ -187,7 +184,7 @@ class PendingTests:
     def _tell(self, playing: int = 0) -> None:
         """Announce the episodes of pending tests that are over; `playing`: of these, those of the part played here."""
         done = playing + sum(result.episodes for result in self._results.values())
-        self._announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
+        self._writer.announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
 
     def _is_process_worthwhile(self) -> bool:
         """Whether the tests played here say that a second process would spare more time than its start takes."""

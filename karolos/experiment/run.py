@@ -9,7 +9,6 @@ import traceback
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
-from ..core import Agent
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
 from ..errors import KarolosError, RunError, WorkerError, described
@@ -21,12 +20,12 @@ from ..records.evaluation import Evaluation
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
-from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator
+from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator, use_threads
 from ..training.collecting import Episode
 from ..training.demonstrations import collect_demonstrations
 from ..training.training import Training
 from .checkpointer import BEST, Checkpointer
-from .events import Announcer, Listener, RunEnded, RunFinalTested, RunStarted, RunTested
+from .events import Listener, RunEnded, RunFinalTested, RunStarted, RunTested
 from .pending_tests import PendingTests
 from .resume import LAST, Snapshot, check_files, newest_snapshot
 from .signals import StopRequest, StopRequestedError
@@ -53,7 +52,7 @@ class Run:
         listener: is told what happens.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
-        beside: whether a second process may play tests while this one trains.
+        two_processes: whether a second process may play tests while this one trains.
     """
 
     spec: Spec
@@ -63,14 +62,13 @@ class Run:
     listener: Listener
     stop: StopRequest
     snapshot: Snapshot | None = None
-    beside: bool = False
+    two_processes: bool = False
     _pending: list[DueEvaluation] = field(default_factory=list, init=False)
     """Tests without a recorded result."""
 
     def __post_init__(self) -> None:
         self._writer = RunWriter(self.folder, self.url, self.listener)
-        self._announcer = Announcer(self.folder.id, self.listener)
-        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending, self._announcer.announce)
+        self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending)
 
     def execute(self) -> RunSummary:
         """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
@@ -97,10 +95,8 @@ class Run:
 
     def _train(self) -> Ending:
         """Build everything, train and test."""
-        from ..agents.device import use_threads  # noqa: PLC0415  (imports torch)
-
         spec, seeds = self.spec, SeedTree(self.seed)
-        use_threads(spec.training.threads or 1)
+        use_threads(spec)
         with ExitStack() as stack:
             self._points = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
             stack.callback(self._points.close)
@@ -114,9 +110,10 @@ class Run:
             training = Training(
                 environments, agent, buffer, spec.training, seeds, spec.training.at_least, pretraining_updates
             )
-            announce = self._announcer.announce
-            self._announcer.write = lambda: self._writer.write_progress(training)
-            tests = PendingTests(spec, training, self._pending, self._writer, self.stop, announce, beside=self.beside)
+            self._writer.training = training
+            tests = PendingTests(
+                spec, training, self._pending, self._writer, self.stop, two_processes=self.two_processes
+            )
             stack.callback(tests.close)
             finished = self._prepare(training) and self._train_and_test(training, tests)
             finished = finished and self._final_test(training, tests)
@@ -138,7 +135,10 @@ class Run:
             if self.spec.continued_from is not None:
                 hint = "`karolos resume RUN training.steps=...` makes such a run"
                 raise RunError("it has no checkpoint of the run that it continues", where=self.folder.id, hint=hint)
-            self._start_from(training.agent)
+            start = find(self.spec, self.folder.path.parent)
+            if start is not None:
+                apply(start, training.agent)
+                self.folder.event("started_from", **start.record())
             self._checkpointer.demonstrated = self.spec.demonstrations is None
         try:
             if self.spec.demonstrations is not None and not self._checkpointer.demonstrated:
@@ -149,24 +149,17 @@ class Run:
             return False
         return True
 
-    def _start_from(self, agent: Agent) -> None:
-        """Take over what another run's agent has learned, if the spec says so."""
-        start = find(self.spec, self.folder.path.parent)
-        if start is not None:
-            apply(start, agent)
-            self.folder.event("started_from", **start.record())
-
     def _demonstrate(self, training: Training, settings: DemonstrationSettings) -> None:
         """Add the expert's episodes to the buffer. Raises StopRequestedError."""
 
         def on_step(episodes: int) -> None:
             self.stop.check()
-            self._announcer.announce("collecting demonstrations", episodes, settings.episodes)
+            self._writer.announce("collecting demonstrations", episodes, settings.episodes)
 
         recipe = self.spec.recipe(randomize=True)
         with self.stop.at_once():
             demonstrations = collect_demonstrations(recipe, settings, training.seeds, on_step)
-        self._announcer.announce("collecting demonstrations", settings.episodes, settings.episodes)
+        self._writer.announce("collecting demonstrations", settings.episodes, settings.episodes)
         training.buffer.add_demonstrations(demonstrations.episodes, settings.share)
         training.seconds += demonstrations.seconds
         self.folder.event(
@@ -203,7 +196,7 @@ class Run:
             diverged += (episode.diverged for episode in progress.finished)
             for failure in progress.failures:
                 self._writer.warn_of_failure(failure)
-            self._announcer.progressed(progress, last=training.over)
+            self._writer.progressed(progress, last=training.over)
             testing = test_due(progress.steps) or training.over
             if report_due(progress.steps) or testing:
                 self._report(training, episodes)
@@ -292,16 +285,11 @@ class Run:
 
 
 def run_or_resume(
-    folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, beside: bool
+    folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, two_processes: bool
 ) -> RunSummary:
     """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
 
-    Args:
-        folder: of the run, locked.
-        url: SQLAlchemy URL of the results database; None: another process indexes the run.
-        listener: is called with every RunEvent.
-        stop: is checked after each round.
-        beside: whether a second process may play tests during training.
+    Arguments are those of `Run`.
 
     Raises:
         RunError: no checkpoint can be used, or a file that the spec names was changed.
@@ -320,4 +308,4 @@ def run_or_resume(
         return folder.summary()
     if snapshot is not None:
         folder.next_attempt()
-    return Run(spec, seed, folder, url, listener, stop, snapshot, beside).execute()
+    return Run(spec, seed, folder, url, listener, stop, snapshot, two_processes).execute()

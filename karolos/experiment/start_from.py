@@ -7,17 +7,15 @@ was overwritten since is noticed. The sha256 belongs to the experiment's identit
 from __future__ import annotations
 
 import os
-from dataclasses import replace
 from pathlib import Path
 
 from ..core import Agent, Deployed
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..errors import RunError, UsageError
+from ..errors import RunError, UsageError, closest
 from ..evaluation.policies import Learned, playable, read_learned, signature_of, spec_of
 from ..records import RunFolder, checkpoint
 from ..records.run_folder import renamed
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
-from ..registry import closest, load
 from ..specification import Spec
 from ..training.assembly import located
 
@@ -28,10 +26,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
     """The spec with the sha256 of the agent that it starts from. Raises as `find` does, at the setting."""
     with located(spec):
         start = find(spec, runs)
-    if start is None:
-        return spec
-    settings = spec.agent.settings.model_copy(update={"start_sha256": start.sha256})
-    return spec.model_copy(update={"agent": replace(spec.agent, settings=settings)})
+    return spec if start is None else spec.having("agent", start_sha256=start.sha256)
 
 
 def find(spec: Spec, runs: Path) -> Learned | None:
@@ -93,7 +88,7 @@ def check_agents(spec: Spec, source: Spec) -> None:
         hint = f"set agent.name={name}, or name a run of {spec.agent.name}"
         raise _refused(f"the agent is {spec.agent.name}, and the run's agent is {name}", hint)
     own, theirs = spec.agent.dump(), source.agent.dump()
-    differing = [key for key in load("agents", name).shaping if own[key] != theirs[key]]
+    differing = [key for key in source.agent.plugin.shaping if own[key] != theirs[key]]
     if differing:
         what = "; ".join(f"agent.{key} is {own[key]} here and {theirs[key]} in the run" for key in differing)
         hint = "set " + " ".join(f"agent.{key}={theirs[key]}" for key in differing)

@@ -70,7 +70,11 @@ class TensorBoardWriter:
         }
         groups = {"agent": metrics, "buffer": training.buffer.metrics(), "speed": speed}
         has_success = training.orchestrator.signature.has_success
-        self._add(groups | {"train": _episode_means(episodes, has_success=has_success)}, training.steps)
+        names = {"success_any": "any", "success_end": "end"} if has_success else {}
+        names |= {"return": "total_reward", "episode_length": "steps", "diverged": "diverged"}
+        columns = {name: [getattr(one, field) for one in episodes] for name, field in names.items()}
+        means = {name: float(np.mean(column)) for name, column in columns.items() if column}
+        self._add(groups | {"train": means}, training.steps)
 
     def add_test(self, result: Evaluation) -> None:
         """Points of a test."""
@@ -125,12 +129,3 @@ def _success(test: Evaluation) -> dict[str, float]:
     """Success by both ways to count it, if it is defined."""
     known = {"success_any": test.success_any, "success_end": test.success_end}
     return {name: value for name, value in known.items() if value is not None}
-
-
-def _episode_means(episodes: Sequence[Episode], *, has_success: bool) -> dict[str, float]:
-    """Means over training episodes; empty without episodes."""
-    if not episodes:
-        return {}
-    names = {"success_any": "any", "success_end": "end"} if has_success else {}
-    names |= {"return": "total_reward", "episode_length": "steps", "diverged": "diverged"}
-    return {name: float(np.mean([getattr(one, field) for one in episodes])) for name, field in names.items()}

@@ -1,4 +1,4 @@
-"""Sends runs to a tracker that a team has: a listener beside others. The run folder stays the truth.
+"""Sends runs to a tracker that a team has: one listener of several. The run folder stays the truth.
 
 The tracker is named by a spec's `tracking` or by KAROLOS_TRACKING. What a tracker raises is a warning and loses no run.
 A resumed run goes on in the same tracked run, which first gets the tests that it lacks.

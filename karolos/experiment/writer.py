@@ -1,7 +1,8 @@
-"""Writes a run into its folder, which is the truth, and then into the store, which is an index."""
+"""Writes a run into its folder, which is the truth, and then into the store, which is an index; tells the listener."""
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass, field
@@ -11,12 +12,17 @@ from ..core import Failure
 from ..errors import KarolosError, MachineError, StoreError
 from ..records import RunFolder, provenance
 from ..records.evaluation import Evaluation
-from ..records.run_records import State
+from ..records.run_records import StateName
 from ..store import Store
 from ..training.collecting import Episode
-from ..training.training import Training
-from .events import Listener, RunWarned
+from ..training.training import Progress, Training
+from .events import Listener, RunAdvanced, RunBusy, RunWarned
 from .resume import Snapshot
+
+ADVANCE_SECONDS = 0.1
+"""Minimal time between two RunAdvanced or two RunBusy events."""
+WRITE_SECONDS = 4.0
+"""Time after which the progress is written down again, so that whoever looks sees it every five seconds."""
 
 
 def index_run(url: str | None, folder: RunFolder) -> None:
@@ -30,7 +36,7 @@ def index_run(url: str | None, folder: RunFolder) -> None:
 class Ending:
     """How a run ended."""
 
-    state: State
+    state: StateName
     """finished, stopped or failed."""
     amounts: Mapping[str, Any] = field(default_factory=dict)
     """Steps, seconds and updates of training; empty if training broke off."""
@@ -42,14 +48,14 @@ class Ending:
     """Traceback of the error, if karolos or a plugin is at fault."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class RunWriter:
-    """Writes state, events, tests and episodes of one run.
+    """Writes state, events, tests and episodes of one run, and tells the listener how far it is.
 
     Args:
         folder: the run's own, created and locked.
         url: of the database, whose errors are warnings only; None: another process indexes the run.
-        listener: is told of warnings.
+        listener: is told of warnings and progress.
 
     Raises:
         MachineError: from every method, when the folder cannot be written.
@@ -58,6 +64,36 @@ class RunWriter:
     folder: RunFolder
     url: str | None
     listener: Listener
+    training: Training | None = field(default=None, init=False)
+    """Whose progress is written down; None before it is made."""
+    _advanced: float = field(default=0.0, init=False)
+    _busy: float = field(default=0.0, init=False)
+    """Times of the last RunAdvanced and RunBusy event."""
+    _written: float = field(default_factory=time.monotonic, init=False)
+
+    def announce(self, activity: str, done: int, total: int) -> None:
+        """Tell how far a test or another activity is."""
+        now = time.monotonic()
+        if done in (0, total) or now - self._busy >= ADVANCE_SECONDS:
+            self._busy = now
+            self.listener(RunBusy(self.folder.id, activity, done, total))
+            self._write_progress(now)
+
+    def progressed(self, progress: Progress, *, last: bool) -> None:
+        """A round of training is over; `last`: and training is."""
+        now = time.monotonic()
+        if last or now - self._advanced >= ADVANCE_SECONDS:
+            self._advanced = now
+            counts = progress.steps, progress.updates, progress.episodes
+            self.listener(RunAdvanced(self.folder.id, *counts, progress.seconds, progress.warming_up))
+            self._write_progress(now)
+
+    def _write_progress(self, now: float) -> None:
+        """Say how far training is, for display: a folder that cannot be written is noticed elsewhere."""
+        if self.training is not None and now - self._written >= WRITE_SECONDS:
+            self._written = now
+            with suppress(MachineError):
+                self.folder.set_progress(**self.training.totals())
 
     def warn(self, warning: str, consequence: str) -> None:
         """Write a problem that the run survives, and tell the listener."""
@@ -117,11 +153,6 @@ class RunWriter:
         with self.tolerated(StoreError, "the test is in the run folder, but not in the database"):
             index_run(self.url, self.folder)
 
-    def write_progress(self, training: Training) -> None:
-        """Say how far training is, for display: a folder that cannot be written is noticed elsewhere."""
-        with suppress(MachineError):
-            self.folder.set_progress(**training.totals())
-
     def write_final(self, final: Mapping[str, Evaluation]) -> None:
         """The final test is over."""
         self.folder.write_final(final)
@@ -138,7 +169,7 @@ class RunWriter:
         details = {"steps": ending.amounts.get("steps"), "reason": ending.reason}
         self.folder.event(ending.state, **{key: value for key, value in details.items() if value is not None})
 
-    def _set_state(self, state: State, **more: Any) -> None:
+    def _set_state(self, state: StateName, **more: Any) -> None:
         self.folder.set_state(state, **more)
         with self.tolerated(StoreError, "the run continues; its folder is complete"):
             index_run(self.url, self.folder)

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from karolos_deploy.bundle import FORMAT, Bundle, write_sums, write_yaml
 
-from .. import __version__
 from ..core import Layout
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
@@ -28,7 +27,7 @@ from ..errors import MachineError, UsageError
 from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
-from ..records import RunFolder
+from ..records import RunFolder, provenance
 from ..registry import load
 from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
@@ -129,7 +128,7 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
             "checkpoint": saved.checkpoint,
             "sha256": saved.sha256,
             "steps": saved.steps,
-            "karolos": __version__,
+            "karolos": provenance.versions()["karolos"],
             "test": {key: tested[key] for key in _SUCCESS} if tested else None,
             "tests_under_changes": [
                 {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}}
@@ -322,5 +321,5 @@ def leapp(out: Path, contract: dict[str, Any]) -> dict[str, Any]:
     flow: dict[str, Any] = {"data_flow": {}, "feedback_flow": {}}
     pipeline = {**flow, "inputs": {"policy": names}, "outputs": {"policy": ["action"]}}
     pipeline["configs"] = {"frequency": contract["control"]["rate"]}
-    system = {"leapp version": f"karolos {__version__}", "leapp config version": "1.3"}
+    system = {"leapp version": f"karolos {provenance.versions()['karolos']}", "leapp config version": "1.3"}
     return {"models": {"policy": policy}, "pipeline": pipeline, "system information": system, "karolos": contract}

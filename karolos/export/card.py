@@ -7,7 +7,6 @@ from pathlib import Path
 
 from ..files import write_whole
 from ..records import RunFolder
-from ..statistics.intervals import wilson
 
 
 def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
@@ -34,7 +33,7 @@ def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
         ]
         lines = [f"Return {result.mean_return:.2f}" if result.mean_return is not None else "Return not finite"]
         if result.successes_end is not None:
-            low, high = wilson(result.successes_end, result.episodes)
+            low, high = result.interval(result.successes_end)
             lines = [
                 f"Success at the last step {result.success_end:.3f} (95 %: {low:.3f} to {high:.3f}), {lines[0].lower()}"
             ]

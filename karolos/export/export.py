@@ -17,14 +17,13 @@ from typing import Any
 import numpy as np
 from karolos_deploy.policy import FORMAT, NumpyPolicy
 
-from .. import __version__
 from ..core import Deployed, Discrete, Layout
 from ..core.seeding import SeedTree
 from ..environments.build import used
 from ..errors import RunError
 from ..evaluation.policies import SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
-from ..records import RunFolder
+from ..records import RunFolder, provenance
 from .onnx_file import check_onnx, run_onnx, write_onnx
 
 GOLDEN_ROWS = 64
@@ -136,7 +135,7 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
         "checkpoint": saved.checkpoint,
         "sha256": saved.sha256,
         "steps": saved.steps,
-        "karolos": __version__,
+        "karolos": provenance.versions()["karolos"],
         "agent": spec["agent"]["name"],
         "output": policy.output,
         "observation": _fields(signature.observation.acting),

@@ -64,7 +64,7 @@ def run_onnx(path: Path, inputs: Mapping[str, FloatArray]) -> FloatArray:
 def _model(policy: Deployed, sizes: tuple[int, int]) -> Any:
     from onnx import TensorProto, helper, numpy_helper  # noqa: PLC0415  (optional)
 
-    from .. import __version__  # noqa: PLC0415
+    from ..records import provenance  # noqa: PLC0415
 
     nodes, constants = [], []
 
@@ -124,7 +124,7 @@ def _model(policy: Deployed, sizes: tuple[int, int]) -> Any:
     return helper.make_model(
         graph,
         producer_name="karolos",
-        producer_version=__version__,
+        producer_version=provenance.versions()["karolos"],
         ir_version=IR_VERSION,
         opset_imports=[helper.make_opsetid("", OPSET)],
     )

@@ -14,7 +14,6 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +52,7 @@ class SimulatedRobot:
         self.contract: dict[str, Any] = Bundle(bundle).contract
         saved = spec_from_dict(read_object(bundle / "spec.json") or {})
         spec = changed_spec(saved, settings.get("change", "").split(), trained=signature_of(saved))
-        fast = spec.environment.settings.model_copy(update={"substeps": 1})
-        part = replace(spec.environment, settings=fast)
-        environment = environment_of(spec.model_copy(update={"environment": part}), randomize=True)
+        environment = environment_of(spec.having("environment", substeps=1), randomize=True)
         assert isinstance(environment, RobotTask)
         arm: object = environment.robot
         assert isinstance(arm, Arm)

@@ -10,12 +10,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Literal
 
+from .. import system
 from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest
 from ..experiment.tracking import Tracking
-from ..files import read_object, write_whole
-from ..registry import load
+from ..files import read_object, write_json, write_whole
+from ..records import provenance
 from ..specification import Spec
 from .interface import LAUNCH, STOP, Ended, Launcher
 from .local import LocalLauncher
@@ -27,7 +28,7 @@ def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
         raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
     if spec.launcher is None:
         return LocalLauncher(LocalLauncher.Settings(), jobs)
-    launcher: Launcher = load("launchers", spec.launcher.name)(spec.launcher.settings, jobs)
+    launcher: Launcher = spec.launcher.make(jobs)
     return launcher
 
 
@@ -140,6 +141,8 @@ class Driver:
     def _start(self, task: FolderTask) -> None:
         try:
             task.path = task.begin().resolve()
+            system.remove(task.path / STOP, missing_ok=True)  # of an earlier process
+            write_json(task.path / LAUNCH, provenance.software())
         except RunError as error:
             task.state = "over"
             self._tell(task, task.end(str(error)))

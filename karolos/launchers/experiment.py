@@ -232,6 +232,6 @@ def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest)
         else:
             folder.lock()
             stop.watch(folder.stop)
-            run_or_resume(folder, url, Tracking(listener), stop, beside=cores() >= 2)
+            run_or_resume(folder, url, Tracking(listener), stop, two_processes=cores() >= 2)
             stop.watch(folder.stop)  # another seed may follow
         return folder.summary()

@@ -27,6 +27,7 @@ with BriefInterrupt():
     from ..experiment.signals import StopRequestedError, stop_on_signals
     from ..files import read_object, write_json, write_whole
     from ..records import RunFolder, provenance
+    from ..training.assembly import import_libraries
     from .interface import LAUNCH, STOP
 
 EARLIER_PROCESS_SECONDS = 60.0
@@ -60,7 +61,7 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                     test.play(lambda _: stop.check())
             elif run is not None:
                 if not stop.requested:
-                    run_or_resume(run, None, _progress_writer(run), stop, beside=cores >= 2)
+                    run_or_resume(run, None, _progress_writer(run), stop, two_processes=cores >= 2)
                 system.remove(run.progress, missing_ok=True)
             requeued = (
                 stop.signal is not None and stop.signal == system.REQUEUED
@@ -81,8 +82,7 @@ def serve(cores: int) -> None:
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
     os.dup2(2, 1)  # what libraries print does not mix with the answers
-    from ..agents import device  # noqa: F401, PLC0415  (imports torch)
-
+    import_libraries()
     with open(0, encoding="utf-8", closefd=False) as orders, suppress(OSError):  # the driver has ended
         answers.write("null\n")
         for line in orders:

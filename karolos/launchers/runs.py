@@ -25,8 +25,8 @@ from ..experiment.events import (
 )
 from ..experiment.resume import find_run
 from ..experiment.writer import index_run
-from ..files import new_lines, read_object, write_json
-from ..records import RunFolder, provenance
+from ..files import new_lines, read_object
+from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation, decode
@@ -69,6 +69,10 @@ class Home:
         remove_unfinished_imports(home.runs)
         prepare_index(home.runs, home.url)  # before anything is computed
         return home.of(spec)
+
+    def store(self) -> Store:
+        """The results database, to be closed."""
+        return Store(self.url)
 
     def of(self, spec: Spec) -> Home:
         """The same home for the runs of another spec."""
@@ -155,8 +159,6 @@ class RunTask(FolderTask):
         if not folder.path.is_dir():
             raise RunError("the run was removed while it waited", where=folder.id)
         folder.release()
-        system.remove(folder.stop, missing_ok=True)  # of an earlier process
-        write_json(folder.launch, provenance.software())
         job.folders[self._seed] = folder
         self._ends = {name: new_lines(folder.path / name, 0)[1] for name in ("events.jsonl", "tests.jsonl")}
         self._progress = read_object(folder.progress) or {}

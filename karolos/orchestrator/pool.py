@@ -199,21 +199,18 @@ class WorkerPool(ABC):
         if plan is None:
             if len(self._plans) >= MOST_PLANS:
                 self._plans.clear()
-            plan = self._plans[key] = self._plan(environments.ids)
+            # The channels of these environments, the environments of each, and the message for each command.
+            places, channels, plan = self._channel_of[environments.ids], self._channels, []
+            for place in np.unique(places).tolist():
+                ids = environments.ids[places == place]
+                messages = {one: command_message(one, ids) for one in (RESET, STEP)}
+                plan.append((channels[place], Group.of(ids), messages))
+            self._plans[key] = plan
         for channel, group, messages in plan:
             if channel.worker.lost:
                 self._failures.append(Failure(group.ids, channel.worker.lost, lost=True))
             else:
                 channel.send(messages[command], group)
-
-    def _plan(self, environments: Ids) -> list[tuple[Channel, Group, dict[bytes, bytes]]]:
-        """The channels of these environments, the environments of each, and the message for each command."""
-        places, channels, plan = self._channel_of[environments], self._channels, []
-        for place in np.unique(places).tolist():
-            ids = environments[places == place]
-            messages = {command: command_message(command, ids) for command in (RESET, STEP)}
-            plan.append((channels[place], Group.of(ids), messages))
-        return plan
 
     def _replace(self, environments: Ids) -> None:
         """Replace the lost workers of these environments."""

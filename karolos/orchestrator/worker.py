@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..errors import KarolosError
-from ..system import STOP_SIGNALS, SharedMemory
+from ..system import STOP_SIGNALS, SharedMemory, lower_priority
 from .executor import FAILURES, Executor, as_karolos_error, pack_errors
 from .shared_memory import EnvironmentArrays
 
@@ -57,8 +57,13 @@ def work(number: int, packed_build: bytes, channels: Sequence[tuple[Connection, 
         thread.join()
 
 
-def isolate() -> None:
-    """Ignore signals, which the parent handles, and redirect standard output to standard error."""
+def isolate(niceness: int = 0) -> None:
+    """Ignore signals, which the parent handles, and redirect standard output to standard error.
+
+    `niceness` lowers the process's priority.
+    """
+    if niceness:
+        lower_priority(niceness)
     # Terminals and job schedulers send these to the process group.
     for number in STOP_SIGNALS:
         signal.signal(number, signal.SIG_IGN)

@@ -10,7 +10,7 @@ runs/transfers/<name>/ holds what no run holds:
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import permutations
@@ -19,21 +19,18 @@ from pathlib import Path
 from typing_extensions import override
 
 from .. import system
-from ..core import Environment
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import opened
 from ..errors import RunError, UsageError
-from ..evaluation.playing import evaluate
-from ..evaluation.policies import Policy, expert_policy, random_policy, signature_of
+from ..evaluation.playing import evaluate_alone
+from ..evaluation.policies import expert_policy, random_policy, signature_of
 from ..evaluation.zero_shot import ZeroShotTest
 from ..experiment.events import RunEvent
 from ..experiment.resume import find_run
 from ..experiment.start_from import check_agents, pinned
-from ..files import append_lines, read_lines, write_json
+from ..files import append_lines, read_lines
 from ..launchers.driver import FolderTask, Job
-from ..launchers.interface import LAUNCH, STOP
 from ..launchers.runs import RunJob
-from ..records import RunFolder, checkpoint, provenance, scan
+from ..records import RunFolder, checkpoint, scan
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict, spec_of_variant
@@ -136,14 +133,22 @@ class Matrix(Plan):
                         setting=self.transfer.place(label),
                         hint="give environment.success_return, or another environment",
                     )
+            robots = [one.robot for one in self.variants.values() if one.robot is not None]
+            by_joints = any(getattr(one.settings, "control", None) == "joint" for one in robots)
             for source, target in self.pairs:
                 if differences := layout_differences(signatures[target], signatures[source]):
                     raise UsageError(
                         f"a policy of {source} cannot act on {target}: {'; '.join(differences)}",
                         setting=self.transfer.place(target),
-                        hint=_layout_hint(self.variants.values()),
+                        hint=f"{'set robot.control=cartesian: ' if by_joints else ''}{SAME_LAYOUTS}",
                     )
-                self._check_overrides(source, target)
+                changed = spec_from_dict(self.variants[source].dump(), self.overrides[target])
+                if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
+                    raise UsageError(
+                        f"the settings of {target} do not turn {source} into {target}",
+                        setting=self.transfer.place(target),
+                        hint="give every variant the same settings, with the values that it has",
+                    )
             for label, tuned in self._tuned.items():
                 check_parts(tuned, jobs)
                 if "start_from" not in type(tuned.agent.settings).model_fields:
@@ -153,16 +158,6 @@ class Matrix(Plan):
                         hint="leave out fine_tune",
                     )
                 check_agents(tuned, self.variants[label])
-
-    def _check_overrides(self, source: str, target: str) -> None:
-        """Raise a UsageError unless the target's settings turn the source's environment into the target's."""
-        changed = spec_from_dict(self.variants[source].dump(), self.overrides[target])
-        if changed.recipe(randomize=False) != self.variants[target].recipe(randomize=False):
-            raise UsageError(
-                f"the settings of {target} do not turn {source} into {target}",
-                setting=self.transfer.place(target),
-                hint="give every variant the same settings, with the values that it has",
-            )
 
     @override
     def execute(self) -> bool:
@@ -243,9 +238,8 @@ class Matrix(Plan):
             for seed, folder in self.sources[source].items():
                 name = _name(self.spec, source, target)
                 spec = self._tuned[target].model_copy(update={"name": name, "seeds": (seed,)})
-                start = {"start_from": folder.id, "start_checkpoint": CHECKPOINT}
-                agent = replace(spec.agent, settings=spec.agent.settings.model_copy(update=start))
-                yield (source, target), pinned(spec.model_copy(update={"agent": agent}), self.home.runs)
+                spec = spec.having("agent", start_from=folder.id, start_checkpoint=CHECKPOINT)
+                yield (source, target), pinned(spec, self.home.runs)
 
 
 @dataclass(eq=False)
@@ -282,8 +276,6 @@ class ZeroShotTask(FolderTask):
     @override
     def begin(self) -> Path:
         self.test.write(self.folder)
-        system.remove(self.folder / STOP, missing_ok=True)  # of an earlier process
-        write_json(self.folder / LAUNCH, provenance.software())
         return self.folder
 
     @override
@@ -305,12 +297,6 @@ def _name(spec: Spec, source: str, target: str | None = None) -> str:
     return f"{spec.name}-{source}" + (f"-to-{target}" if target is not None else "")
 
 
-def _layout_hint(variants: Iterable[Spec]) -> str:
-    """What to do about layouts that differ."""
-    joint = any(getattr(one.robot.settings, "control", None) == "joint" for one in variants if one.robot is not None)
-    return f"{'set robot.control=cartesian: ' if joint else ''}{SAME_LAYOUTS}"
-
-
 def _require_checkpoint(folder: RunFolder) -> None:
     if CHECKPOINT not in checkpoint.names(folder.checkpoints):
         raise RunError(
@@ -327,17 +313,11 @@ def measure_baselines(spec: Spec, path: Path) -> Baselines:
     for row in read_lines(path).rows:
         if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:
             return known
-    floor = _evaluate(spec, random_policy, episodes)
+    seed = spec.testing.final_seed
+    floor = evaluate_alone(spec, lambda one: random_policy(one, seed), episodes=episodes, seed=seed).counts
     try:
-        ceiling = _evaluate(spec, lambda environment, _: expert_policy(environment), episodes)
+        ceiling = evaluate_alone(spec, expert_policy, episodes=episodes, seed=seed).counts
     except UsageError:  # there is no expert
         ceiling = None
     append_lines(path, [key | {"floor": floor.encode(), "ceiling": ceiling and ceiling.encode()}])
     return Baselines(floor, ceiling)
-
-
-def _evaluate(spec: Spec, make: Callable[[Environment, int], Policy], episodes: int) -> Evaluation:
-    """Success of a policy on the first episodes of the final test."""
-    seed = spec.testing.final_seed
-    with opened(spec.recipe(randomize=False)) as environment:
-        return evaluate(environment, make(environment, seed), episodes=episodes, seed=seed).counts

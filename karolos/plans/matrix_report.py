@@ -28,13 +28,12 @@ from ..report.figures import Drawing, look, short
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, interval_notes, reached, success
 from ..statistics import aggregates, transfer
-from ..statistics.intervals import wilson
 from ..statistics.reaching import first_reaching
 from .matrix import Matrix, Pair
 
 
 @dataclass(frozen=True)
-class Metric:
+class TransferMetric:
     """An estimate of a cell: how it is named, explained and shaded."""
 
     title: str
@@ -45,27 +44,29 @@ class Metric:
 
 
 METRICS = {
-    "zero_shot": Metric(
+    "zero_shot": TransferMetric(
         "Zero-shot success",
         "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
         "diagonal on its own variant",
     ),
-    "retention": Metric("Retention", "zero-shot success by the success of the same policies on their own variant"),
-    "fine_tuned": Metric(
+    "retention": TransferMetric(
+        "Retention", "zero-shot success by the success of the same policies on their own variant"
+    ),
+    "fine_tuned": TransferMetric(
         "Success after fine-tuning", "the last policy of fine-tuning on the target, in its final test"
     ),
-    "jump_start": Metric(
+    "jump_start": TransferMetric(
         "Jump-start",
         "success of fine-tuning minus that of training from scratch at the first step at which both have been tested "
         "(Taylor and Stone 2009)",
         neutral=0.0,
     ),
-    "asymptote": Metric(
+    "asymptote": TransferMetric(
         "Asymptote",
         "success of fine-tuning minus that of training from scratch, each at its own end (Taylor and Stone 2009)",
         neutral=0.0,
     ),
-    "time_ratio": Metric(
+    "time_ratio": TransferMetric(
         "Time to threshold",
         "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
         "never got there censored at their end; \N{INFINITY}: the median of fine-tuning is not known, 0: that from "
@@ -73,7 +74,7 @@ METRICS = {
         neutral=1.0,
         larger_is_better=False,
     ),
-    "forward_transfer": Metric(
+    "forward_transfer": TransferMetric(
         "Forward transfer",
         "(AUC - AUC of scratch) / (1 - AUC of scratch), mean success over the steps of fine-tuning that both were "
         "tested in (Wolczyk et al. 2021, Continual World)",
@@ -148,7 +149,7 @@ class TransferReport:
         return [variant.label for variant in self.variants]
 
     @property
-    def metrics(self) -> dict[str, Metric]:
+    def metrics(self) -> dict[str, TransferMetric]:
         """The metrics that at least one cell has."""
         return {name: one for name, one in METRICS.items() if any(cell.estimates.get(name) for cell in self.cells)}
 
@@ -170,7 +171,7 @@ class TransferReport:
             counts = cell.tests.values()
             estimates["zero_shot"] |= {
                 "each": [count.success_end for count in counts],
-                "wilson": [wilson(count.successes_end or 0, count.episodes) for count in counts],
+                "wilson": [count.interval(count.successes_end or 0) for count in counts],
             }
         return {
             "matrix": self.name,
@@ -247,7 +248,7 @@ def _mean(values: Sequence[float]) -> float:
 
 def _wilson(test: Evaluation) -> Estimate:
     successes = test.successes_end or 0
-    return Estimate(successes / test.episodes, *wilson(successes, test.episodes), "wilson")
+    return Estimate(successes / test.episodes, *test.interval(successes), "wilson")
 
 
 def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, RunRecord]:
@@ -401,7 +402,12 @@ def notes(report: TransferReport) -> list[str]:
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     for name, metric in report.metrics.items():
-        if without := [text for cell in report.cells if (text := _alone(cell, name))]:
+        paired = [(cell, found) for cell in report.cells if isinstance(found := cell.estimates.get(name), Paired)]
+        if without := [
+            f"{cell.source} to {cell.target} {found.alone} of {found.pairs}"
+            for cell, found in paired
+            if found.alone != found.pairs
+        ]:
             lines.append(f"{metric.title}, pairs that alone have a value: {', '.join(without)}")
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
@@ -457,11 +463,3 @@ def _runs_table(report: TransferReport) -> Table:
 def _run_cells(run: RunRecord) -> tuple[str, str, str, str]:
     summary = run.summary
     return str(summary.seed), success(run.reported("end"), run.episodes), count(summary.steps), summary.run
-
-
-def _alone(cell: Cell, name: str) -> str:
-    """How many pairs of a cell alone have a value; nothing if all have."""
-    found = cell.estimates.get(name)
-    if not isinstance(found, Paired) or found.alone == found.pairs:
-        return ""
-    return f"{cell.source} to {cell.target} {found.alone} of {found.pairs}"

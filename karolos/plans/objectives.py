@@ -10,7 +10,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from ..environments.build import opened
+from ..evaluation.policies import signature_of
 from ..launchers.runs import RunJob
 from ..records.evaluation import Evaluation
 from ..specification import Spec
@@ -27,8 +27,7 @@ Tests = Mapping[int, Sequence[Evaluation]]
 def directions(spec: Spec) -> tuple[Direction, ...]:
     """maximize or minimize, for each objective of the spec's sweep."""
     assert spec.sweep is not None  # callers see to it
-    with opened(spec.recipe(randomize=False)) as environment:
-        return directions_of(spec.sweep.objectives, environment.signature.measures)
+    return directions_of(spec.sweep.objectives, signature_of(spec).measures)
 
 
 def measure(objective: str, tests: Tests, steps: int, finals: Mapping[int, Evaluation] = MappingProxyType({})) -> float:

@@ -90,12 +90,16 @@ class Study:
         self._name = name
         self._directions = directions
         self._grid = list(sweep.combinations()) if sweep.sampler == "grid" else []
+        pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
+        if (asked := sweep.pruner) is not None:
+            warmup = math.ceil(asked.warmup * steps)
+            pruner = optuna.pruners.MedianPruner(n_startup_trials=asked.startup, n_warmup_steps=warmup)
         storage = JournalStorage(JournalFileBackend(str(journal), lock_obj=_NoLock(str(journal))))
         self._study = optuna.create_study(
             storage=storage,
             study_name=name,
             directions=self._directions,
-            pruner=self._pruner(steps),
+            pruner=pruner,
             load_if_exists=True,
         )
         self._study.set_metric_names(list(sweep.objectives))  # for optuna-dashboard
@@ -174,13 +178,6 @@ class Study:
             runs=tuple(one.user_attrs.get(_RUNS, ())),
             error=one.user_attrs.get(_ERROR),
         )
-
-    def _pruner(self, steps: int) -> optuna.pruners.BasePruner:
-        settings = self._sweep.pruner
-        if settings is None:
-            return optuna.pruners.NopPruner()
-        warmup = math.ceil(settings.warmup * steps)
-        return optuna.pruners.MedianPruner(n_startup_trials=settings.startup, n_warmup_steps=warmup)
 
 
 def _sampler(sweep: Sweep, number: int) -> optuna.samplers.BaseSampler:

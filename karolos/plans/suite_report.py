@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
 from os.path import relpath
@@ -138,7 +138,11 @@ def suite_report(plan: SuitePlan, beside: Path | None = None) -> SuiteReport:
             if isinstance(others, str):
                 warnings[others].append(spec.name)
             else:
-                warnings[_unlike(other, others[0].spec, spec)].append(spec.name)
+                # Another plugin is one setting.
+                found = differences([{**one, "name": "", "seeds": []} for one in (others[0].spec, spec.dump())])
+                keys = {key.partition(".")[0] if f"{key.partition('.')[0]}.name" in found else key for key in found}
+                if keys:
+                    warnings[f"{other} has other settings: {', '.join(sorted(keys))}"].append(spec.name)
                 contenders.insert(0, Contender(other, others))
         comparison = compare(contenders)
         for warning in comparison.warnings:
@@ -148,17 +152,10 @@ def suite_report(plan: SuitePlan, beside: Path | None = None) -> SuiteReport:
     warnings |= {"no test yet": untested} if untested else {}
     unknown = {*suite.measures}.difference(*(entry.comparison.measures for entry in entries))
     warnings |= {"no spec has these measures": sorted(unknown)} if unknown else {}
-    said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items() if warning]
+    said = [f"{warning} ({', '.join(names)})" for warning, names in warnings.items()]
     problems = [line for job in plan.found for line in job.problems(job.cut)]
     done, without = tuple(entries), tuple(untested)
     return SuiteReport(suite.name, label, other, done, without, suite.measures, (*problems, *said), suite.notes)
-
-
-def _unlike(label: str, other: Mapping[str, Any], spec: Spec) -> str:
-    """Which settings of other runs differ from the suite's; empty if none does. Another plugin is one setting."""
-    found = differences([{**one, "name": "", "seeds": []} for one in (other, spec.dump())])
-    keys = {key.partition(".")[0] if f"{key.partition('.')[0]}.name" in found else key for key in found}
-    return f"{label} has other settings: {', '.join(sorted(keys))}" if keys else ""
 
 
 def _tested(records: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
@@ -247,11 +244,11 @@ def verdict(report: SuiteReport) -> str:
         text += f" {solved} of {specs} specs reached .95 in a test with every seed."
     if report.untested:
         text += f" Without a test: {', '.join(report.untested)}."
-    beside = [(one.spec.name, found) for one in report.entries if (found := one.scores.improvement) is not None]
-    if better := [found.value for _, found in beside if against_first(found) not in ("few", "unknown")]:
+    compared = [(one.spec.name, found) for one in report.entries if (found := one.scores.improvement) is not None]
+    if better := [found.value for _, found in compared if against_first(found) not in ("few", "unknown")]:
         text += f" A run is better than one of {report.beside} with probability {fmean(better):.2f}, mean over"
         text += f" specs with 5 seeds of each ({len(better)}); .5: no difference."
-    if few := [name for name, found in beside if against_first(found) == "few"]:
+    if few := [name for name, found in compared if against_first(found) == "few"]:
         text += f" Too few seeds to tell from {report.beside} (5 of each are needed): {', '.join(few)}."
     return text
 

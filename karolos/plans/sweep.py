@@ -53,7 +53,6 @@ from ..records.sweep_records import (
 )
 from ..specification import Spec, load_spec, spec_from_dict, spec_of_trial, to_yaml
 from ..specification.sweep import DEFAULT_TRIALS
-from ..store import Store
 from ..training.assembly import check_parts
 from .objectives import directions, measure_all, nominal_steps, so_far
 from .plan import Plan
@@ -142,7 +141,7 @@ class Search(Plan):
         append_lines(journal, ())  # removes an incomplete last line of a killed process
         self._study = Study(journal, self.sweep, self.name, self.spec.training.steps, self._directions)
         stop = self.driver.stop
-        with Store(self.home.url) as self._store:
+        with self.home.store() as self._store:
             self._write()
             before = self._record
             self.driver.run(self._trials(), 1 if self.jobs is None else self.jobs)
@@ -171,8 +170,7 @@ class Search(Plan):
 
     def _for_search(self, base: Spec, drawn: Mapping[str, Any], name: str) -> Spec:
         """A trial's spec without the final test, which says nothing to the search."""
-        trial = spec_of_trial(base, drawn, name, self.sweep.seeds, name)
-        return trial.model_copy(update={"testing": trial.testing.model_copy(update={"final_episodes": 0})})
+        return spec_of_trial(base, drawn, name, self.sweep.seeds, name).having("testing", final_episodes=0)
 
     def _trials(self) -> Iterator[TrialJob]:
         """The runs of open and of new trials. A trial that cannot work fails at once."""
@@ -184,7 +182,7 @@ class Search(Plan):
                 trial = self._study.ask()
             else:
                 return
-            name = self._tell(trial)
+            name = self.tell(trial)
             try:
                 spec = self._for_search(self._base, trial.drawn, name)
                 with self.driver.stop.at_once():
@@ -192,22 +190,12 @@ class Search(Plan):
             except StopRequestedError:
                 return  # the next call of the sweep takes the trial up again
             except KarolosError as error:
-                self.end_trial(trial, error=str(error).replace("\n", "; "))
+                trial.end(error=str(error).replace("\n", "; "))
+                self.tell(trial)
             else:
                 yield TrialJob(self, trial, spec)
 
-    def end_trial(
-        self,
-        trial: OpenTrial,
-        runs: Sequence[str] = (),
-        values: Sequence[float] | None = None,
-        error: str | None = None,
-    ) -> None:
-        """End a trial as `OpenTrial.end` does."""
-        trial.end(runs, values, error)
-        self._tell(trial)
-
-    def _tell(self, trial: OpenTrial) -> str:
+    def tell(self, trial: OpenTrial) -> str:
         """Write the trials and tell the listener of this one; returns its name."""
         self._write()
         found = self._record.trials[trial.number]
@@ -264,8 +252,7 @@ class Search(Plan):
     def _for_report(base: Spec, trial: Trial, name: str, seeds: tuple[int, ...]) -> Spec:
         """A trial's spec whose tests play other episodes than those it was tuned and chosen on."""
         spec = spec_of_trial(base, trial.drawn, name, seeds, trial.name)
-        seed = spec.testing.seed + REPORT_SEED_OFFSET
-        return spec.model_copy(update={"testing": spec.testing.model_copy(update={"seed": seed})})
+        return spec.having("testing", seed=spec.testing.seed + REPORT_SEED_OFFSET)
 
     def _unused_seeds(self) -> Iterator[int]:
         """Seeds from 0 that are neither the sweep's nor the spec's."""
@@ -329,23 +316,19 @@ class Search(Plan):
             return
         seeds = tuple(islice(self._unused_seeds(), len(self.spec.seeds))) if final is None else final.report_seeds
         spec = self._for_report(self.spec, best, best_name(self.name), seeds)
-        comment = "".join(f"# {line}\n" for line in self._comment(best, final))
-        write_whole(self.folder / BEST, comment + to_yaml(spec.dump()))
-        with suppress(StopRequestedError), self.driver.stop.at_once(), look():  # they take seconds
-            write_plots(self._study.figures(), self.folder / "figures")
-
-    def _comment(self, best: Trial, final: SweepFinal | None) -> Iterator[str]:
-        """The lines above the best trial's spec."""
         drawn = ", ".join(f"{key} = {value}" for key, value in best.drawn.items())
-        yield f"Trial {best.number} of a sweep: {drawn}."
+        comment = f"# Trial {best.number} of a sweep: {drawn}.\n"
         phases = [(best.values, "the seeds it was tuned on", self.sweep.seeds)]
         if final is not None:
             phases.append((final.fresh[best.number], "the seeds it was chosen by", final.seeds))
             phases.append((final.reported, "seeds used for nothing else", final.report_seeds))
         for place, name in enumerate(self.sweep.objectives):
-            for values, which, seeds in phases:
+            for values, which, on in phases:
                 if values is not None:
-                    yield f"{name} {values[place]:.4g} on {which} ({', '.join(map(str, seeds))})"
+                    comment += f"# {name} {values[place]:.4g} on {which} ({', '.join(map(str, on))})\n"
+        write_whole(self.folder / BEST, comment + to_yaml(spec.dump()))
+        with suppress(StopRequestedError), self.driver.stop.at_once(), look():  # they take seconds
+            write_plots(self._study.figures(), self.folder / "figures")
 
 
 class TrialJob(RunJob):
@@ -384,11 +367,14 @@ class TrialJob(RunJob):
             values = measure_all(objectives, self)
             finite = all(math.isfinite(value) for value in values)
             error = None if finite else f"{' and '.join(objectives)} came to {list(values)}"
-            search.end_trial(self._trial, runs, values if finite else None, error)
+            self._trial.end(runs, values if finite else None, error)
         elif self.error is not None or self.halted == PRUNED:
-            search.end_trial(self._trial, runs, error=self.error)
+            self._trial.end(runs, error=self.error)
         elif not search.driver.stop.requested:
-            search.end_trial(self._trial, runs, error="a run was stopped from outside")
+            self._trial.end(runs, error="a run was stopped from outside")
+        else:
+            return
+        search.tell(self._trial)
 
 
 def _fingerprint(spec: Spec) -> str:

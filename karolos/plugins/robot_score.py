@@ -16,7 +16,7 @@ import numpy as np
 from ..core import FloatArray, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
-from ..errors import KarolosError, UsageError
+from ..errors import KarolosError, UsageError, alternatives
 from ..evaluation.changed_spec import load_player
 from ..evaluation.playing import Moment, play, play_one
 from ..evaluation.policies import Policy
@@ -24,7 +24,6 @@ from ..evaluation.testing import test_seeds
 from ..files import write_whole, writing
 from ..records import RunFolder
 from ..records.shipped import FOLDER, shipped_names
-from ..registry import alternatives
 from ..report.page import Section, document
 from ..report.tables import Columns, Table
 from ..report.video import write_film

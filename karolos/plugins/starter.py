@@ -8,14 +8,17 @@ from __future__ import annotations
 import keyword
 import re
 import shutil
+from importlib.metadata import entry_points
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
-from ..errors import UsageError
-from ..registry import alternatives, entries
+from karolos_deploy.drivers import GROUP as DRIVERS
 
-KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution")
+from ..errors import UsageError, alternatives
+from ..registry import entries
+
+KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution", "driver")
 """Kinds with a starter package."""
 
 
@@ -50,9 +53,9 @@ def write_starter(
             f"{name!r} cannot be the name of a plugin",
             hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
         )
-    for entry in entries(f"{kind}s"):
-        if entry.name == name and entry.distribution != f"karolos-{name.replace('_', '-')}":
-            what = f"the package {entry.distribution} has a {kind} called {name!r} already"
+    for other, package in _installed(kind):
+        if other == name and package != f"karolos-{name.replace('_', '-')}":
+            what = f"the package {package} has a {kind} called {name!r} already"
             raise UsageError(what, hint="choose another name")
     if urdf is not None and kind not in ("robot", "gripper"):
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
@@ -75,6 +78,13 @@ def write_starter(
     return [out / path for path in sorted(contents)], notes
 
 
+def _installed(kind: str) -> list[tuple[str, str]]:
+    """Names and packages of the installed plugins of a kind."""
+    if kind == "driver":
+        return [(one.name, one.dist.name) for one in entry_points(group=DRIVERS) if one.dist is not None]
+    return [(entry.name, entry.distribution) for entry in entries(f"{kind}s")]
+
+
 def _rendered(
     kind: str, name: str, urdf: Path | None, tool: str | None, gripper: str | None
 ) -> tuple[dict[str, str | Path], tuple[str, ...]]:
@@ -85,11 +95,13 @@ def _rendered(
         "dashed": name.replace("_", "-"),
         "class_name": "".join(word.capitalize() for word in name.split("_")),
         "threshold": "0.05",
+        "group": DRIVERS if kind == "driver" else f"karolos.{kind}s",
+        "needs": "" if kind == "driver" else '"karolos"',  # a robot's computer has karolos-deploy alone
     }
     folder, package = files("karolos.plugins") / "starters", f"src/karolos_{name}"
     templates = {
         "pyproject.toml": "pyproject.toml",
-        "README.md": "README.md",
+        "README.md": "README_driver.md" if kind == "driver" else "README.md",
         f"{package}/__init__.py": "__init__.py",
         f"{package}/{name}.py": "robot_from_urdf.py" if kind == "robot" and urdf is not None else f"{kind}.py",
         f"tests/test_{name}.py": f"test_{kind}.py",

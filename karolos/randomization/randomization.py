@@ -11,8 +11,7 @@ from pydantic import BaseModel
 from pydantic import Field as Setting
 
 from ..core import Field, Generator, Layout
-from ..errors import RunError, UsageError
-from ..registry import alternatives
+from ..errors import RunError, UsageError, alternatives
 from .distributions import Distribution
 
 DRAW_ATTEMPTS = 100

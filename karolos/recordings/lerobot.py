@@ -87,89 +87,81 @@ def write_lerobot(
         MachineError: pyarrow is missing, or the folder cannot be written.
     """
     require("pyarrow", "lerobot", "a LeRobotDataset")
-    with writing(path):
-        for name in ("data", "meta", "videos"):
-            system.remove_tree(path / name, ignore_errors=True)
-        _write(path, about, recordings, task, films or path)
-
-
-def _write(
-    path: Path,
-    about: Mapping[str, Any],
-    recordings: Iterable[Recording],
-    task: str,
-    films: Path,
-) -> None:
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.parquet as pq  # noqa: PLC0415
 
-    fps = whole_rate(about["rate"])
-    known = features(about)
-    episodes: list[dict[str, Any]] = []
-    frames = file = 0
-    writer: Any = None
-    for place, recording in enumerate(recordings):
-        columns = _frames(recording, place, frames, fps)
-        table = pa.table({name: _arrow(columns[name]) for name in known if name in columns})
-        data = path / DATA.format(chunk_index=file // FILES_PER_CHUNK, file_index=file % FILES_PER_CHUNK)
-        if writer is None:
-            data.parent.mkdir(parents=True, exist_ok=True)
-            writer = pq.ParquetWriter(data, table.schema, compression="snappy")
-        writer.write_table(table)
-        statistics = {name: _statistics(column) for name, column in columns.items()}
-        row = {
-            "episode_index": place,
-            "tasks": [task],
-            "length": recording.steps,
-            "data/chunk_index": file // FILES_PER_CHUNK,
-            "data/file_index": file % FILES_PER_CHUNK,
-            "dataset_from_index": frames,
-            "dataset_to_index": frames + recording.steps,
-            "meta/episodes/chunk_index": 0,
-            "meta/episodes/file_index": 0,
-            **{f"stats/{name}/{kind}": value for name, one in statistics.items() for kind, value in one.items()},
-            **{
-                f"final/{NAMES[part]}": getattr(recording, part)[-1].tolist() for part in STATES if NAMES[part] in known
-            },
-            "final/seed": recording.seed,
-        }
-        for camera in about.get("cameras", {}):
-            video = {"chunk_index": place // FILES_PER_CHUNK, "file_index": place % FILES_PER_CHUNK}
-            target = path / VIDEO.format(video_key=f"observation.images.{camera}", **video)
-            target.parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(films / f"{recording.seed}-{camera}.mp4", target)
-            at = {**video, "from_timestamp": 0.0, "to_timestamp": recording.steps / fps}
-            row |= {f"videos/observation.images.{camera}/{key}": value for key, value in at.items()}
-        episodes.append(row)
-        frames += recording.steps
-        if data.stat().st_size > FILE_BYTES:
+    with writing(path):
+        for name in ("data", "meta", "videos"):
+            system.remove_tree(path / name, ignore_errors=True)
+        fps = whole_rate(about["rate"])
+        known = features(about)
+        episodes: list[dict[str, Any]] = []
+        frames = file = 0
+        writer: Any = None
+        for place, recording in enumerate(recordings):
+            columns = _frames(recording, place, frames, fps)
+            table = pa.table({name: _arrow(columns[name]) for name in known if name in columns})
+            data = path / DATA.format(chunk_index=file // FILES_PER_CHUNK, file_index=file % FILES_PER_CHUNK)
+            if writer is None:
+                data.parent.mkdir(parents=True, exist_ok=True)
+                writer = pq.ParquetWriter(data, table.schema, compression="snappy")
+            writer.write_table(table)
+            statistics = {name: _statistics(column) for name, column in columns.items()}
+            row = {
+                "episode_index": place,
+                "tasks": [task],
+                "length": recording.steps,
+                "data/chunk_index": file // FILES_PER_CHUNK,
+                "data/file_index": file % FILES_PER_CHUNK,
+                "dataset_from_index": frames,
+                "dataset_to_index": frames + recording.steps,
+                "meta/episodes/chunk_index": 0,
+                "meta/episodes/file_index": 0,
+                **{f"stats/{name}/{kind}": value for name, one in statistics.items() for kind, value in one.items()},
+                **{
+                    f"final/{NAMES[part]}": getattr(recording, part)[-1].tolist()
+                    for part in STATES
+                    if NAMES[part] in known
+                },
+                "final/seed": recording.seed,
+            }
+            for camera in about.get("cameras", {}):
+                video = {"chunk_index": place // FILES_PER_CHUNK, "file_index": place % FILES_PER_CHUNK}
+                target = path / VIDEO.format(video_key=f"observation.images.{camera}", **video)
+                target.parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile((films or path) / f"{recording.seed}-{camera}.mp4", target)
+                at = {**video, "from_timestamp": 0.0, "to_timestamp": recording.steps / fps}
+                row |= {f"videos/observation.images.{camera}/{key}": value for key, value in at.items()}
+            episodes.append(row)
+            frames += recording.steps
+            if data.stat().st_size > FILE_BYTES:
+                writer.close()
+                writer, file = None, file + 1
+        if writer is not None:
             writer.close()
-            writer, file = None, file + 1
-    if writer is not None:
-        writer.close()
-    meta = path / "meta"
-    listed = meta / "episodes/chunk-000/file-000.parquet"
-    listed.parent.mkdir(parents=True)
-    pq.write_table(pa.Table.from_pylist(episodes), listed)
-    pq.write_table(_tasks(task), meta / "tasks.parquet")
-    write_json(meta / "stats.json", _together(episodes))
-    info = {
-        "codebase_version": VERSION,
-        "robot_type": about.get("robot"),
-        "total_episodes": len(episodes),
-        "total_frames": frames,
-        "total_tasks": 1,
-        "chunks_size": FILES_PER_CHUNK,
-        "data_files_size_in_mb": FILE_BYTES >> 20,
-        "video_files_size_in_mb": 200,
-        "fps": fps,
-        "splits": {"train": f"0:{len(episodes)}"},
-        "data_path": DATA,
-        "video_path": VIDEO if about.get("cameras") else None,
-        "features": known,
-        "karolos": dict(about),
-    }
-    write_json(meta / "info.json", info)  # the last file: without it there is no dataset
+        meta = path / "meta"
+        listed = meta / "episodes/chunk-000/file-000.parquet"
+        listed.parent.mkdir(parents=True)
+        pq.write_table(pa.Table.from_pylist(episodes), listed)
+        pq.write_table(_tasks(task), meta / "tasks.parquet")
+        write_json(meta / "stats.json", _together(episodes))
+        info = {
+            "codebase_version": VERSION,
+            "robot_type": about.get("robot"),
+            "total_episodes": len(episodes),
+            "total_frames": frames,
+            "total_tasks": 1,
+            "chunks_size": FILES_PER_CHUNK,
+            "data_files_size_in_mb": FILE_BYTES >> 20,
+            "video_files_size_in_mb": 200,
+            "fps": fps,
+            "splits": {"train": f"0:{len(episodes)}"},
+            "data_path": DATA,
+            "video_path": VIDEO if about.get("cameras") else None,
+            "features": known,
+            "karolos": dict(about),
+        }
+        write_json(meta / "info.json", info)  # the last file: without it there is no dataset
 
 
 def _frames(recording: Recording, episode: int, before: int, fps: int) -> Columns:

@@ -160,7 +160,10 @@ class _Mapping:
 
     def part(self, name: str, layout: Layout | Discrete, found: Columns, episode: str) -> FloatArray | None:
         """The array of observation, achieved_goal, desired_goal or action; None if the dataset does not have it."""
-        whole = self._expression(name, found)
+        # The format's usual names count in a dataset that karolos wrote, and for actions.
+        whole, usual = self.columns.get(name), self.source.names[name]
+        if whole is None and usual in found and (self.source.about or name == "action"):
+            whole = f"{usual} {SI}"
         if whole is not None:
             return self._values(name, whole, layout, found, episode)
         if isinstance(layout, Discrete) or name in ("desired_goal", "action"):
@@ -173,13 +176,6 @@ class _Mapping:
             parts.append(self._values(one.name, expression, Layout((one,)), found, episode))
         rows = min(map(len, parts))
         return np.concatenate([part[:rows] for part in parts], 1)
-
-    def _expression(self, name: str, found: Columns) -> str | None:
-        """Where the dataset has this part; usual names count in a dataset that karolos wrote, and for actions."""
-        if name in self.columns:
-            return self.columns[name]
-        usual = self.source.names[name]
-        return f"{usual} {SI}" if usual in found and (self.source.about or name == "action") else None
 
     def _values(
         self, name: str, expression: str, layout: Layout | Discrete, found: Columns, episode: str

@@ -36,7 +36,7 @@ from ..errors import RunError
 from ..files import below, parse_object, write_json, writing
 
 if TYPE_CHECKING:
-    import torch
+    pass
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -242,24 +242,16 @@ def _load(folder: Path, name: str, only: Collection[str] | None) -> tuple[dict[s
     path = _find(folder, name)
     before = _identity(path)
     try:
-        return _read(path, only)
+        manifest = read_manifest(path)
+        if lacking := set(only or ()) - set(manifest["files"]):
+            raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
+        arrays, wanted = ArrayFiles(path.parent / _ARRAYS), manifest["files"].keys() if only is None else only
+        files = {part: facts for part, facts in manifest["files"].items() if part in wanted}
+        return {part: read_state(path / f"{part}.pt", facts, arrays) for part, facts in files.items()}, manifest
     except CheckpointError:
         if _identity(_find(folder, name)) == before:
             raise
     return _load(folder, name, only)  # the run replaced it while it was read
-
-
-def _read(path: Path, only: Collection[str] | None) -> tuple[dict[str, State], dict[str, Any]]:
-    manifest = read_manifest(path)
-    if lacking := set(only or ()) - set(manifest["files"]):
-        raise damaged(path, f"it lacks {', '.join(sorted(lacking))}")
-    arrays = ArrayFiles(path.parent / _ARRAYS)
-    parts = {
-        part: read_state(path / f"{part}.pt", facts, arrays)
-        for part, facts in manifest["files"].items()
-        if only is None or part in only
-    }
-    return parts, manifest
 
 
 def _remove_unused(folder: Path) -> None:
@@ -433,7 +425,8 @@ def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) ->
     if type(value) is int:
         return value if value in _WORD else {_TAG: "integer", "text": hex(value)}
     if isinstance(value, torch.Tensor):
-        return _own_storage(value)
+        alone = value.detach().cpu()  # torch.save would write the whole storage of a view
+        return alone.clone() if alone.untyped_storage().nbytes() > alone.nbytes else alone
     if isinstance(value, np.ndarray | np.generic):
         return _encode_array(value, path, arrays)
     if isinstance(value, Mapping):
@@ -454,12 +447,6 @@ def decode(value: Any, arrays: ArrayFiles | None = None) -> Any:
     if isinstance(value, list | tuple):
         return type(value)(decode(item, arrays) for item in value)
     return value
-
-
-def _own_storage(tensor: torch.Tensor) -> torch.Tensor:
-    """The tensor with its own storage: torch.save would write the whole storage of a view."""
-    alone = tensor.detach().cpu()
-    return alone.clone() if alone.untyped_storage().nbytes() > alone.nbytes else alone
 
 
 def _encode_array(value: np.ndarray | np.generic, path: str, arrays: ArrayFiles | None) -> dict[str, Any]:

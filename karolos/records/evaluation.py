@@ -205,9 +205,9 @@ class Evaluation:
         return {
             "episodes": self.episodes,
             "success_any": self.success_any,
-            "success_any_interval": self._interval(self.successes_any),
+            "success_any_interval": None if self.successes_any is None else self.interval(self.successes_any),
             "success_end": self.success_end,
-            "success_end_interval": self._interval(self.successes_end),
+            "success_end_interval": None if self.successes_end is None else self.interval(self.successes_end),
             "mean_return": self.mean_return,
             "measures": self.counts.measures,
         }
@@ -226,8 +226,9 @@ class Evaluation:
             "wall_seconds": self.wall_seconds,
         }
 
-    def _interval(self, successes: int | None) -> tuple[float, float] | None:
-        return None if successes is None else wilson(successes, self.episodes)
+    def interval(self, successes: int) -> tuple[float, float]:
+        """Wilson's interval at 95 % of a number of successes in these episodes."""
+        return wilson(successes, self.episodes)
 
     def encode(self) -> dict[str, Any]:
         """As a JSON object, without fields that have their defaults. Successes are 0 and 1, nan and inf are texts."""

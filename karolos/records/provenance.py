@@ -9,7 +9,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import cache
 from importlib import metadata
 from importlib.util import find_spec
@@ -19,6 +18,7 @@ from typing import Any
 from ..errors import MachineError, redact, without_folders
 from ..files import fingerprint
 from ..registry import KINDS, PluginEntry, entries
+from .run_records import GitCommit
 
 GIT_SECONDS = 10.0
 """Time limit of one call of git; the run goes on without its answer."""
@@ -35,20 +35,6 @@ _SECRET_FILES = (
     *("kubeconfig", ".aws/**", ".ssh/**", ".kube/**", ".docker/**", ".gnupg/**"),
 )
 """Files whose changes code.diff leaves out."""
-
-
-@dataclass(frozen=True)
-class Code:
-    """The state of the git work tree that a run was started in."""
-
-    commit: str
-    """The commit that was checked out, as hexadecimal digits."""
-    dirty: bool
-    """Whether tracked files differed from it."""
-    untracked: tuple[str, ...]
-    """Files that git neither tracks nor ignores; the first 50."""
-    diff: str
-    """How tracked files differed, cut off at 1 MB."""
 
 
 def command_line() -> list[str]:
@@ -161,8 +147,11 @@ def kind_of_machine() -> str:
     return f"{platform.system()} {platform.machine()}"
 
 
-def code(folder: Path) -> Code | None:
-    """The git work tree that contains `folder`; None without one, or if git is missing or does not answer."""
+def code(folder: Path) -> tuple[GitCommit, str] | None:
+    """The git work tree that contains `folder`, and how its tracked files differ from the commit, cut off at 1 MB.
+
+    None without one, or if git is missing or does not answer.
+    """
     commit = _git(folder, "rev-parse", "--verify", "HEAD")
     status = _git(folder, "status", "--porcelain", "-z", "--untracked-files=normal")
     if commit is None or status is None:
@@ -172,7 +161,7 @@ def code(folder: Path) -> Code | None:
     dirty = any(not entry.startswith("??") for entry in entries)
     files = (":/", *(f":(top,exclude,icase,glob)**/{pattern}" for pattern in _SECRET_FILES))
     diff = _git(folder, "diff", "--no-ext-diff", "--no-textconv", "--no-color", "HEAD", "--", *files) or ""
-    return Code(commit.strip(), dirty, tuple(untracked[:UNTRACKED_FILES]), redact(diff))
+    return {"commit": commit.strip(), "dirty": dirty, "untracked": untracked[:UNTRACKED_FILES]}, redact(diff)
 
 
 def _git(folder: Path, *arguments: str) -> str | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
@@ -45,7 +45,7 @@ from .run_records import (
     RunRecord,
     RunState,
     RunSummary,
-    State,
+    StateName,
     part_name,
     timestamp,
 )
@@ -92,7 +92,16 @@ class RunFolder:
     def create(cls, runs: str | Path, name: str, seed: int) -> RunFolder:
         """Make `runs/<name>-s<seed>-<UTC date>-<time>` and lock it; `-2`, `-3` ... is added to a name that is taken."""
         now = datetime.now(UTC)
-        path = _make_folder(Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}")
+        root, stem = Path(runs), f"{name}-s{seed}-{now:%Y%m%d-%H%M%S}"
+        with writing(root):
+            root.mkdir(parents=True, exist_ok=True)
+            for attempt in range(1, _FOLDERS):
+                path = root / (stem if attempt == 1 else f"{stem}-{attempt}")
+                with suppress(FileExistsError):
+                    path.mkdir()  # succeeds in one process only, however many try
+                    break
+            else:
+                raise MachineError(f"{stem} is taken", where=str(runs))
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}
@@ -105,8 +114,19 @@ class RunFolder:
         Raises RunError if it is not a run folder, or a newer karolos made it.
         """
         folder = cls(Path(path))
-        folder._run = _read_description(folder.path)
-        folder.id = folder._run["id"]  # a renamed folder is still the same run
+        try:
+            run: Any = from_json(RunDescription, (folder.path / "run.json").read_bytes())
+        except OSError as error:
+            raise RunError(
+                f"this is not a run folder ({error.strerror})",
+                where=str(path),
+                hint="`karolos runs list` shows the runs, `karolos db reindex` forgets those whose folders are gone",
+            ) from error
+        if run is None or run["id"] == SWEEPS:
+            raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
+        if run["format"] > FORMAT:
+            raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
+        folder._run, folder.id = run, run["id"]  # a renamed folder is still the same run
         return folder
 
     @staticmethod
@@ -168,11 +188,11 @@ class RunFolder:
             files: `Spec.files`.
         """
         unread: list[str] = []
-        code = provenance.code(source or Path.cwd())
+        git, diff = provenance.code(source or Path.cwd()) or (None, "")
         if text is not None:
             write_whole(self.path / "spec.yaml", redact(text))
-        if code and code.diff:
-            write_whole(self.path / "code.diff", code.diff)
+        if diff:
+            write_whole(self.path / "code.diff", diff)
         write_json(self.path / "resolved.json", resolved)
         robot = resolved.get("robot") or {}
         if os.path.isfile(robot.get("file") or ""):
@@ -187,7 +207,7 @@ class RunFolder:
             "files": files,
             "machine": provenance.kind_of_machine(),
             "command": provenance.command_line(),
-            "git": {"commit": code.commit, "dirty": code.dirty, "untracked": list(code.untracked)} if code else None,
+            "git": git,
         }
         self._run |= {} if continued_from is None else {"continued_from": continued_from}
         self._write_state(RunState("created"))
@@ -218,7 +238,7 @@ class RunFolder:
             robot["file"] = str(copies[0].absolute()) if copies else file
         return spec
 
-    def set_state(self, state: State, *, error: str | None = None, **amounts: Any) -> None:
+    def set_state(self, state: StateName, *, error: str | None = None, **amounts: Any) -> None:
         """Replace the state by any but lost, and the error: why it failed, in one line.
 
         `amounts` are steps, seconds and updates of training so far; what is not given keeps its value.
@@ -359,24 +379,17 @@ class RunFolder:
         if not final and (self.path / FINAL).exists():
             problems += (f"{FINAL}: damaged; left out",)
         problems += read_lines(self.path / "events.jsonl").problems
-        summary = self._summarise(now, spec or {}, tests, final)
-        git = self._run.get("git") or {}
-        commit = f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None
-        return RunRecord(summary, spec or {}, tests, self._run.get("versions", {}), commit, problems)
-
-    def _summarise(
-        self, state: RunState, spec: Mapping[str, Any], tests: Sequence[Evaluation], final: Mapping[str, Evaluation]
-    ) -> RunSummary:
+        spec = spec or {}
         reported, best, found = final.get("last", tests[-1] if tests else None), final.get("best"), self.labels()
         solved = next((test for test in tests if (test.success_end or 0) >= THRESHOLD), None)
         solved_any = next((test for test in tests if (test.success_any or 0) >= THRESHOLD), None)
-        return RunSummary(
+        summary = RunSummary(
             run=self.id,
             experiment=self._run["experiment"],
             seed=self._run["seed"],
-            state=state.state,
-            steps=state.steps,
-            seconds=state.seconds,
+            state=now.state,
+            steps=now.steps,
+            seconds=now.seconds,
             success_any=reported and reported.success_any,
             success_end=reported and reported.success_end,
             steps_to_95=solved and solved.steps,
@@ -387,26 +400,29 @@ class RunFolder:
             robot=part_name(spec, "robot"),
             task=part_name(spec, "task"),
             agent=part_name(spec, "agent"),
-            attempt=state.attempt,
-            error=state.error,
+            attempt=now.attempt,
+            error=now.error,
             created=self._run["created"],
-            updated=state.updated or self._run["created"],
+            updated=now.updated or self._run["created"],
             folder=str(self.path.resolve()),
             tags=found.tags,
             note=found.note,
-            updates=state.updates,
+            updates=now.updates,
             final=bool(final),
             best_steps=best and best.steps,
             best_any=best and best.success_any,
             best_end=best and best.success_end,
             steps_to_95_any=solved_any and solved_any.steps,
             seconds_to_95_any=solved_any and solved_any.seconds,
-            total_seconds=state.total_seconds,
+            total_seconds=now.total_seconds,
             mean_return=reported and reported.mean_return,
             best_return=best and best.mean_return,
             measures=reported.counts.measures if reported else {},
             source=provenance.source_of_others(self._run.get("sources") or {}),
         )
+        git = self._run.get("git") or {}
+        commit = f"{git['commit'][:8]}{'+' if git.get('dirty') else ''}" if git.get("commit") else None
+        return RunRecord(summary, spec, tests, self._run.get("versions", {}), commit, problems)
 
     def _current(self, stored: RunState) -> RunState:
         """The state now, given what state.json held just before."""
@@ -473,33 +489,3 @@ def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:
     for path in paths(runs, pattern):
         if not FileLock(path / "lock").is_locked():
             remove_leftovers(path, UNFINISHED)
-
-
-def _make_folder(runs: Path, stem: str) -> Path:
-    with writing(runs):
-        runs.mkdir(parents=True, exist_ok=True)
-        for attempt in range(1, _FOLDERS):
-            path = runs / (stem if attempt == 1 else f"{stem}-{attempt}")
-            try:
-                path.mkdir()  # succeeds in one process only, however many try
-            except FileExistsError:
-                continue
-            return path
-    raise MachineError(f"{stem} is taken", where=str(runs))
-
-
-def _read_description(path: Path) -> Any:
-    """The content of run.json. Raises RunError if it is not a run folder, or a newer karolos made it."""
-    try:
-        run = from_json(RunDescription, (path / "run.json").read_bytes())
-    except OSError as error:
-        raise RunError(
-            f"this is not a run folder ({error.strerror})",
-            where=str(path),
-            hint="`karolos runs list` shows the runs, `karolos db reindex` forgets those whose folders are gone",
-        ) from error
-    if run is None or run["id"] == SWEEPS:
-        raise RunError("run.json is damaged", where=str(path), hint="restore the folder from a copy, or remove it")
-    if run["format"] > FORMAT:
-        raise RunError("a newer karolos made this run folder", where=str(path), hint="update karolos")
-    return run

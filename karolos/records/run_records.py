@@ -21,8 +21,8 @@ SWEEPS = "sweeps"
 """Folder of all sweeps in the runs folder; no run has this id."""
 FORMAT = 1
 """Version of the folder's layout, in run.json."""
-State = Literal["created", "running", "finished", "failed", "stopped", "lost"]
-STATES: tuple[str, ...] = get_args(State)
+StateName = Literal["created", "running", "finished", "failed", "stopped", "lost"]
+STATES: tuple[str, ...] = get_args(StateName)
 """A run's folder holds all but `lost`, which readers compute."""
 UNFINISHED = ("created", "running")
 Success = Literal["any", "end"]
@@ -42,9 +42,11 @@ class GitCommit(TypedDict, total=False):
     """The commit of the work tree that a run was started in."""
 
     commit: str
+    """As hexadecimal digits."""
     dirty: bool
     """Whether tracked files differed from it (code.diff)."""
     untracked: list[str]
+    """Files that git neither tracks nor ignores; the first 50."""
 
 
 class RunDescription(TypedDict):
@@ -82,7 +84,7 @@ class RunDescription(TypedDict):
 class RunState:
     """The progress of a run."""
 
-    state: State
+    state: StateName
     steps: Count = 0
     """Environment steps of training."""
     seconds: FiniteFloat = 0.0

@@ -13,9 +13,8 @@ from ..comparison import Comparison, Contender, Estimate, learning_curve
 from ..comparison.conditions import conditions, final_values
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
-from ..errors import UsageError
+from ..errors import UsageError, alternatives
 from ..records.run_records import Metric
-from ..registry import alternatives
 from ..statistics import aggregates
 from .figures import COLOURS, Drawing, file_name, look, short, style
 from .tables import decimal, estimate, heading

@@ -11,8 +11,8 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader
 from markupsafe import Markup
 
-from .. import __version__
 from ..comparison import Comparison
+from ..records import provenance
 from ..records.run_records import RunRecord
 from .figures import Drawing, style
 from .tables import (
@@ -77,7 +77,8 @@ def templates(*folders: Path) -> Environment:
     """The templates in some folders. Every value in them is escaped and cleaned."""
     loader = FileSystemLoader(folders)
     environment = Environment(loader=loader, autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
-    environment.globals |= {"style": style, "version": __version__, "split": _split, "breakable": _breakable}
+    version = provenance.versions()["karolos"]
+    environment.globals |= {"style": style, "version": version, "split": _split, "breakable": _breakable}
     return environment
 
 

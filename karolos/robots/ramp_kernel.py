@@ -11,7 +11,7 @@ from ..simulation.arm_kernel import forward, velocity
 
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.
-Further away its speed is one from which half of its acceleration stops it."""
+Further away its speed at the end of a step is one from which half of its acceleration then stops it."""
 REFERENCE_LAG = 0.01
 """Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
 SPEED_SHARE = 0.97
@@ -23,10 +23,11 @@ SCALINGS = 4
 
 
 @compiled
-def _approach(room, acceleration):
-    """Largest speed in rad/s of a joint towards the end of its range, which is `room` rad away."""
-    speed = room / BRAKING_TIME
-    return min(speed, sqrt(acceleration * room)) if room > 0 else speed
+def _approach(room, before, acceleration, period):
+    """Largest speed in rad/s, after a step from the speed `before`, towards the end of a range, `room` rad away."""
+    speed, mean = room / BRAKING_TIME, acceleration * period / 4
+    left = acceleration * (room - before * period / 2)  # w^2 = acceleration (room - (before + w) / 2 period)
+    return min(speed, sqrt(mean * mean + left) - mean if left > 0 else 0.0) if room > 0 else speed
 
 
 @compiled
@@ -56,9 +57,9 @@ def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
         acceleration, braking = bounds[j, 3], bounds[j, 4]
         speed = v + share * (ends[j] - v)
         if at + braking * speed > high:
-            speed = max(min(speed, _approach(high - at, acceleration)), v - rise)
+            speed = max(min(speed, _approach(high - at, v, acceleration, period)), v - rise)
         elif at + braking * speed < low:
-            speed = min(max(speed, -_approach(at - low, acceleration)), v + rise)
+            speed = min(max(speed, -_approach(at - low, -v, acceleration, period)), v + rise)
         held = min(max(state[0, j], at - REFERENCE_LAG), at + REFERENCE_LAG)
         reference = held + (state[1, j] + speed) / 2 * period
         end = speed + (reference - at) / period - (v + speed) / 2

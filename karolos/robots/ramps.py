@@ -60,7 +60,7 @@ class Ramps:
         """References in rad and speeds in rad/s."""
         self._bounds = np.array(
             [
-                (low, high, speed, acceleration, max(self._kernel.BRAKING_TIME, speed / acceleration))
+                (low, high, speed, acceleration, max(self._kernel.BRAKING_TIME, speed / acceleration + period))
                 for low, high, speed, acceleration in zip(
                     limits.lower, limits.upper, limits.velocity, accelerations, strict=True
                 )

@@ -27,8 +27,9 @@ HELD = 3.0
 USUAL_SPEED, USUAL_SLIDE, USUAL_FORCE = 2.0, 0.1, 20.0
 """Speed in rad/s and m/s of a joint whose speed nobody says, and force in N of a slide."""
 GRAVITY = 9.81
-PAYLOAD, PAYLOAD_ARM = 2.0, 0.2
-"""kg that such an arm carries, and how far from its last joint in m."""
+PAYLOAD, PAYLOAD_SHARE, PAYLOAD_ARM = 2.0, 1 / 15, 0.2
+"""What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
+how far from its last joint in m."""
 MJCF = (".xml", ".mjcf")
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
@@ -217,7 +218,8 @@ class Repair:
             furthest = max(furthest, away)
             below = (one for one in loose.joints if one.parent == link)
             reached += [(one.child, away + float(np.linalg.norm(one.origin))) for one in below]
-        return GRAVITY * (total + PAYLOAD * (furthest + PAYLOAD_ARM))
+        payload = max(PAYLOAD, PAYLOAD_SHARE * sum(mass for mass, _, _ in masses.values()))
+        return GRAVITY * (total + payload * (furthest + PAYLOAD_ARM))
 
 
 def _set_inertia(link: Element, mass: float, solid: Solid) -> None:

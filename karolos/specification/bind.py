@@ -10,8 +10,8 @@ from typing import Any, get_args
 
 from pydantic import BaseModel, ValidationError
 
-from ..errors import PluginError, Problem, UsageError
-from ..registry import alternatives, closest, load, singular
+from ..errors import PluginError, Problem, UsageError, alternatives, closest
+from ..registry import load, singular
 from .model import Spec
 from .parts import Part, validate_strictly
 from .tree import DEFAULT, PARTS, RANDOMIZATION, ROBOT_TASK, SWEEP, TRANSFER, Mark, Node, Path, dotted, shown, written
@@ -203,8 +203,8 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
         if deeper and (path in unions or kind in LENGTHS):
             continue  # a less specific error of a union's member; the length of a list without its invalid items
         if kind == "missing":
-            beside = (str(other[-1]) for other in unknown if other[:-1] == path[:-1])
-            if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in beside):
+            siblings = (str(other[-1]) for other in unknown if other[:-1] == path[:-1])
+            if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in siblings):
                 continue  # `bind` reports it, or it is misspelt
         whole = (*invalid.path, *path)
         what, hint = _said(invalid, path, entries, tree, plugins)

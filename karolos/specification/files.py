@@ -16,9 +16,8 @@ from typing import Any, NoReturn
 
 import yaml
 
-from ..errors import Problem, SpecError, UsageError
+from ..errors import Problem, SpecError, UsageError, closest
 from ..files import SPECS
-from ..registry import closest
 from .tree import (
     MAX_DEPTH,
     Mark,
@@ -96,7 +95,7 @@ def shipped_text(name: str) -> str:
     for target in reversed(list(extends.walk()) if extends else []):
         if isinstance(target.value, str):
             row, column = target.at.line - 1, target.at.column - 1
-            rest = lines[row][column:].replace(target.value, beside(source, target.value), 1)
+            rest = lines[row][column:].replace(target.value, relative_name(source, target.value), 1)
             lines[row] = lines[row][:column] + rest
     return "".join(lines)
 
@@ -167,7 +166,7 @@ class SpecFiles:
             raise refusal(target.at, "should be a path, or a list of paths, relative to this file", setting="extends")
         refuse(variable_problems(target, ("extends",)))
         shipped = given.startswith(SHIPPED)
-        base, name = find_spec(given) if shipped else (path.parent / given, beside(name, given))
+        base, name = find_spec(given) if shipped else (path.parent / given, relative_name(name, given))
         if wrong := unreadable(base):
             raise refusal(target.at, f"{shown(given)}: {wrong[0]}", wrong[1], setting="extends")
         if (file := os.path.realpath(base)) in above:
@@ -176,7 +175,7 @@ class SpecFiles:
         return self._load(base, name, above)
 
 
-def beside(name: str, given: str) -> str:
+def relative_name(name: str, given: str) -> str:
     """The name in positions of a file that the file `name` extends as `given`."""
     prefix = SHIPPED if name.startswith(SHIPPED) else ""
     return prefix + os.path.normpath(os.path.join(os.path.dirname(name.removeprefix(prefix)), given))
@@ -204,9 +203,9 @@ def _specs_in(folder: Path) -> list[str]:
 
 
 def _similar(path: Path) -> str | None:
-    """A hint at a file beside `path`, or at a shipped spec, with a similar name."""
-    beside = {Path(name).stem: name for name in _specs_in(path.parent)}  # the suffixes alone would be similar enough
-    near = beside.get(closest(path.stem, beside) or "")
+    """A hint at a file next to `path`, or at a shipped spec, with a similar name."""
+    siblings = {Path(name).stem: name for name in _specs_in(path.parent)}  # the suffixes alone would be similar enough
+    near = siblings.get(closest(path.stem, siblings) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
     return f"did you mean {shown(near)}?" if near else None if path.suffix else "`karolos spec list` shows what ships"

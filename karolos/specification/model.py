@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -291,6 +292,15 @@ class Spec(Settings):
     def alone(self) -> Spec:
         """This spec without sweep, transfer and launcher, which are not a run's own."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
+
+    def having(self, key: str, **settings: Any) -> Spec:
+        """This spec with other settings of a part (`agent`) or a block (`testing`), which are not validated."""
+        block = getattr(self, key)
+        if isinstance(block, Part):
+            changed: Any = replace(block, settings=block.settings.model_copy(update=settings))
+        else:
+            changed = block.model_copy(update=settings)
+        return self.model_copy(update={key: changed})
 
     def files(self) -> dict[str, str]:
         """The files that settings name: key path -> SHA-256 (hex) of file and files named there (`fingerprint`)."""

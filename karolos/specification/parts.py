@@ -13,7 +13,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 from ..core.settings import without_later
 from ..errors import recorded
 from ..registry import load
-from .tree import Path, leaves
+from .tree import leaves
 
 _SIZE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
 _SECRET = PydanticCustomError(
@@ -47,10 +47,22 @@ class Part:
         settings = validate_strictly(load(kind, name).Settings, given)
         values = list(leaves(settings.model_dump(), lists=True))
         wrong = {path: _SIZE for path, value in values if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63}
-        wrong |= {path: _SECRET for path, value in (*values, *leaves(given, lists=True)) if _looks_secret(path, value)}
+        for path, value in (*values, *leaves(given, lists=True)):
+            key = next((step for step in reversed(path) if isinstance(step, str)), "")
+            if isinstance(value, SecretStr) or recorded(value, key) != value:  # it looks like one
+                wrong[path] = _SECRET
         if errors := [InitErrorDetails(type=error, loc=path, input=0) for path, error in wrong.items()]:
             raise ValidationError.from_exception_data("Part", errors)
         return cls(kind, name, settings)
+
+    @property
+    def plugin(self) -> Any:
+        """The plugin's class. Raises as `registry.load`."""
+        return load(self.kind, self.name)
+
+    def make(self, *given: Any, **more: Any) -> Any:
+        """An instance of the plugin: its class is called with the settings and with what is given besides."""
+        return self.plugin(self.settings, *given, **more)
 
     def dump(self, *, changed: bool = False, given: bool = False) -> dict[str, Any]:
         """Name and all settings as in a spec, or only those that are no defaults, or that were given; JSON-able."""
@@ -96,12 +108,6 @@ class OfKind:
     def __get_pydantic_json_schema__(self, *_: Any) -> dict[str, str]:
         """A mark, which `karolos.specification.schema` replaces."""
         return {"kind": self.kind}
-
-
-def _looks_secret(path: Path, value: object) -> bool:
-    """Whether a value looks like a secret, by its key or by itself."""
-    key = next((step for step in reversed(path) if isinstance(step, str)), "")
-    return isinstance(value, SecretStr) or recorded(value, key) != value
 
 
 def validate_strictly(model: type[BaseModel], value: object, context: object = None) -> Any:

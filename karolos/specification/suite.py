@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from ..core import Settings
 from ..errors import KarolosError, Problem, SpecError
 from .bind import Invalid, explain
-from .files import SHIPPED, SpecFiles, beside, find_spec, unreadable
+from .files import SHIPPED, SpecFiles, find_spec, relative_name, unreadable
 from .load import load_spec
 from .model import Name, Spec
 from .parts import validate_strictly
@@ -107,7 +107,11 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
         entry = tree["specs"][place]
         above = [*_trees(tree.get("overrides")), *_trees(entry.get("overrides"))]
         try:
-            file = _file_of(entry["spec"])
+            given = entry["spec"]  # relative to the suite's file, or a shipped one
+            near = given.value if given.value.startswith(SHIPPED) else relative_name(given.at.source, given.value)
+            file = str(near if os.path.isfile(find_spec(near)[0]) else given.value)
+            if wrong := unreadable(find_spec(file)[0]):
+                raise refusal(given.at, f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
             spec = plain = load_spec(file, (), above)
             try:
                 spec = _overridden(file, overrides, above) if overrides else plain
@@ -135,15 +139,6 @@ def _overridden(file: str, overrides: list[str], above: list[Node]) -> Spec:
                 with suppress(SpecError):
                     return load_spec(file, [*overrides, f"buffer={name}"], above)
         raise
-
-
-def _file_of(given: Node) -> str:
-    """The spec file that an entry names: relative to the suite's, or a shipped one."""
-    near = given.value if given.value.startswith(SHIPPED) else beside(given.at.source, given.value)
-    name = near if os.path.isfile(find_spec(near)[0]) else given.value
-    if wrong := unreadable(find_spec(name)[0]):
-        raise refusal(given.at, f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
-    return str(name)
 
 
 def _written_out(tree: Node, stem: str) -> Node:

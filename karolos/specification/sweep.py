@@ -19,8 +19,7 @@ from pydantic import (
 from pydantic import Field as Setting
 
 from ..core import Measure, Settings
-from ..errors import Problem, UsageError
-from ..registry import alternatives
+from ..errors import Problem, UsageError, alternatives
 from .tree import RANDOMIZATION, Node, nested, segments
 
 Seed = Annotated[int, Setting(ge=0, le=2**63 - 1)]

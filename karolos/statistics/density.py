@@ -74,12 +74,15 @@ def kde(values: ArrayLike) -> Density:
     images = np.concatenate([ratios, -ratios, 2 - ratios])
     density = np.exp(-0.5 * ((grid[:, None] - images) / width) ** 2).sum(1)
     density /= integral(density)
+    # Peaks are higher than their left and not lower than their right neighbour; lower ones come from rounding.
+    padded = np.concatenate([[-np.inf], density, [-np.inf]])
+    peaks = (density > padded[:-2]) & (density >= padded[2:]) & (density > 1e-6 * density.max())
     return Density(
         grid=grid,
         density=density,
         bandwidth=width,
         mode=float(grid[density.argmax()]),
-        modes=tuple(grid[_local_maxima(density)].tolist()),
+        modes=tuple(grid[peaks].tolist()),
         mean=integral(grid * density),
         low=_quantile(grid, density, 0.05),
         high=_quantile(grid, density, 0.95),
@@ -95,16 +98,6 @@ def integral(heights: ArrayLike) -> float:
     weights[1::2] = 4.0
     weights[[0, -1]] = 1.0
     return float(weights @ points / (3 * (points.size - 1)))
-
-
-def _local_maxima(heights: _Floats) -> NDArray[np.intp]:
-    """Points higher than their left and not lower than their right neighbour, the ends included.
-
-    Maxima below 1e-6 of the highest come from rounding and are left out.
-    """
-    padded = np.concatenate([[-np.inf], heights, [-np.inf]])
-    peaks = (heights > padded[:-2]) & (heights >= padded[2:]) & (heights > 1e-6 * heights.max())
-    return np.flatnonzero(peaks)
 
 
 def _quantile(grid: _Floats, density: _Floats, level: float) -> float:

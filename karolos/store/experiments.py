@@ -17,9 +17,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from sqlalchemy import select
 
-from ..errors import StoreError, UsageError
+from ..errors import StoreError, UsageError, alternatives
 from ..records.run_records import RunSummary
-from ..registry import alternatives
 from ..statistics.density import Density, kde
 from .store import Store, summaries
 from .tables import RUNS, SPECS, SUCCESSES, TESTS, put

@@ -25,9 +25,8 @@ from itertools import accumulate
 from operator import ge, gt, le, lt
 from typing import Any
 
-from ..errors import UsageError
+from ..errors import UsageError, alternatives
 from ..records.run_records import STATES
-from ..registry import alternatives
 
 EXAMPLE = "e.g. task=reach and agent.learning_rate<1e-3"
 LONGEST = 10_000

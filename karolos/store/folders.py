@@ -93,7 +93,12 @@ def reindex(store: Store, runs: str | Path) -> Reindexed:
         known.update(found.run for found in group if found.run is not None)
         records = [found.record for found in group if found.record is not None]
         refused += _enter(store, records)
-        _catch_up(store, records)
+        # Enter runs again that wrote into their folders, and the database, after these records of them were read.
+        while records := [one for one in records if one.summary.state in ("created", "running")]:
+            renewed = [_read(Path(one.summary.folder), locked=True).record or one for one in records]
+            pairs = zip(renewed, records, strict=True)
+            records = [new for new, old in pairs if (new.summary.state, new.tests) != (old.summary.state, old.tests)]
+            _enter(store, records)  # what it refuses now it has refused before
     gone = _gone(store, root, known)
     store.remove_runs(gone)
     return Reindexed(len(known) - len(refused), len(gone), (*problems, *refused, *sweeps(root)[1]))
@@ -104,7 +109,12 @@ def check(store: Store, runs: str | Path) -> Iterator[Difference]:
 
     A run that a process is working on is skipped, because it changes meanwhile. Raises StoreError.
     """
-    yield from _integrity(store)
+    if store.url.get_backend_name() == "sqlite":  # a server checks itself
+        for (problem,) in store.fetch(text("PRAGMA integrity_check(10)")):
+            if problem != "ok":
+                yield Difference(None, f"the database is damaged: {problem}")
+        for row in store.fetch(text("PRAGMA foreign_key_check")):
+            yield Difference(None, f"a row of {row[0]} refers to a missing row of {row[2]}")
     root = Path(runs).resolve()
     known: set[str] = set()
     for group in _run_folders(root, locked=False):
@@ -164,18 +174,6 @@ def _enter(store: Store, records: Sequence[RunRecord]) -> list[str]:
     return []
 
 
-def _catch_up(store: Store, records: Sequence[RunRecord]) -> None:
-    """Enter runs again that wrote into their folders, and the database, after these records of them were read."""
-    while records := [one for one in records if one.summary.state in ("created", "running")]:
-        renewed = [_read(Path(one.summary.folder), locked=True).record or one for one in records]
-        records = [
-            new
-            for new, old in zip(renewed, records, strict=True)
-            if (new.summary.state, new.tests) != (old.summary.state, old.tests)
-        ]
-        _enter(store, records)  # what it refuses now it has refused before
-
-
 def _facts(record: RunRecord) -> dict[str, Any]:
     """What folder and index have of a run."""
     lists = {"settings of its spec": without_seeds(record.spec), "versions of its software": record.versions}
@@ -192,12 +190,3 @@ def _differences(identity: str, recorded: Mapping[str, Any], entered: Mapping[st
             what = f"{name} is {value!r} in its folder and {entered[name]!r} in the database"
             long = isinstance(value, tuple | Mapping)
             yield Difference(identity, f"the {name} differ in the database" if long else what)
-
-
-def _integrity(store: Store) -> Iterator[Difference]:
-    if store.url.get_backend_name() != "sqlite":
-        return  # a server checks itself
-    problems = store.fetch(text("PRAGMA integrity_check(10)"))
-    broken = store.fetch(text("PRAGMA foreign_key_check"))
-    yield from (Difference(None, f"the database is damaged: {problem}") for (problem,) in problems if problem != "ok")
-    yield from (Difference(None, f"a row of {row[0]} refers to a missing row of {row[2]}") for row in broken)

@@ -12,12 +12,11 @@ from typing import Any
 
 import sqlalchemy
 
-from ..errors import NoSuchRunError, UsageError
+from ..errors import NoSuchRunError, UsageError, closest
 from ..records import RunFolder
 from ..records.run_records import RunRecord, RunSummary, flatten
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..records.sweep_records import BEST, best_name, read_sweep, sweep_folder
-from ..registry import closest
 from .folders import open_index
 from .store import Store
 from .tables import RUNS, SUMMARY_FIELDS, means

@@ -13,12 +13,11 @@ from typing import Any
 
 from sqlalchemy import Connection, Select, Table, bindparam, delete, func, select, update
 
-from ..errors import RunError, StoreError, UsageError
+from ..errors import RunError, StoreError, UsageError, alternatives, closest
 from ..records import RunFolder, labels
 from ..records.evaluation import COUNTS, Evaluation
 from ..records.run_records import STATES, UNFINISHED, RunRecord, RunSummary, flatten, without_seeds
 from ..records.sweep_records import is_trial
-from ..registry import alternatives, closest
 from . import filters
 from .database import Database
 from .filters import Filter

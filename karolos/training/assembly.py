@@ -17,7 +17,7 @@ from ..core.experience import transition_layout
 from ..environments.build import build_environment, is_setting
 from ..errors import KarolosError, PluginError, UsageError, WorkerError, described
 from ..orchestrator.local import Local
-from ..registry import blaming, find, load
+from ..registry import blaming, find
 from ..specification import Part, Spec
 from ..specification.parts import Recipe
 from ..specification.sweep import MEASURES, directions
@@ -38,8 +38,8 @@ TOGETHER = ("robot.", "task.", "environment.", "agent.", "buffer.")
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
     """The spec's environments, distributed over processes and threads as the spec says."""
-    part, build = spec.orchestrator, partial(build_environment, spec.recipe(randomize=randomize))
-    orchestrator: Orchestrator = load("orchestrators", part.name)(part.settings, build)
+    recipe = spec.recipe(randomize=randomize)
+    orchestrator: Orchestrator = spec.orchestrator.make(partial(build_environment, recipe))
     return orchestrator
 
 
@@ -47,9 +47,21 @@ def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
     """The spec's agent for these environments, on the spec's device. `seeds` is the run's."""
     from ..agents.device import resolve_device  # noqa: PLC0415  (imports torch)
 
-    part, device = spec.agent, resolve_device(spec.training.device)
-    agent: Agent = load("agents", part.name)(part.settings, signature, seeds.child("agent"), device)
+    device = resolve_device(spec.training.device)
+    agent: Agent = spec.agent.make(signature, seeds.child("agent"), device)
     return agent
+
+
+def import_libraries() -> None:
+    """Import what takes long and every run needs: torch."""
+    from ..agents import device  # noqa: F401, PLC0415
+
+
+def use_threads(spec: Spec) -> None:
+    """Compute with the spec's number of threads in this process: sums in another order could change an episode."""
+    from ..agents import device  # noqa: PLC0415  (imports torch)
+
+    device.use_threads(spec.training.threads or 1)
 
 
 def learner(spec: Spec) -> dict[str, str]:
@@ -65,10 +77,8 @@ def learner(spec: Spec) -> dict[str, str]:
 
 def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
     """The spec's buffer for this number of environments. `seeds` is the run's."""
-    part = spec.buffer
-    buffer: Buffer = load("buffers", part.name)(
-        part.settings, signature, seeds.child("buffer"), environments=environments, discount=discount
-    )
+    own = seeds.child("buffer")
+    buffer: Buffer = spec.buffer.make(signature, own, environments=environments, discount=discount)
     return buffer
 
 
@@ -255,7 +265,7 @@ def _needs(spec: Spec, signature: Signature) -> Iterator[tuple[int, str, str]]:
     what = f"the actions of {environments:,} running episodes of up to {signature.max_steps:,} steps"
     yield actions * FLOAT_BYTES, what, "orchestrator.environments"
 
-    agent, hidden = load("agents", spec.agent.name), getattr(spec.agent.settings, "hidden", ())
+    agent, hidden = spec.agent.plugin, getattr(spec.agent.settings, "hidden", ())
     batch = f"a batch of {training.batch_size:,} transitions"
     if isinstance(hidden, tuple) and hidden:
         inputs = signature.observation.size + signature.desired_goal.size + signature.action.size

@@ -4,16 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from statistics import fmean
 
 from ..comparison.contenders import averaged, name_of, one_per_seed
-from ..comparison.scores import Estimate, estimate
-from ..core.seeding import SeedTree
+from ..comparison.scores import Estimate, estimate_alone
 from ..records.run_records import RunSummary
 from ..report import tables
 from ..report.tables import count, duration
-from ..statistics import aggregates
 from ..store import Store
 from ..store.experiments import CurvePoint, curves, steps_asked
 
@@ -73,7 +70,7 @@ def _row(runs: Sequence[RunSummary], tests: dict[str, list[CurvePoint]], asked: 
     has_success = any(run.success_end is not None for run in counted)
     reported = [run.success_end if has_success else run.mean_return for run in counted]
     episodes = next((run.episodes for run in counted if run.episodes), None)
-    result = _estimate(tuple(one for one in reported if one is not None), episodes if has_success else None)
+    result = estimate_alone(tuple(one for one in reported if one is not None), episodes if has_success else None)
     value, _, interval = tables.estimate(result).partition(" ")
     steps = count(fmean(run.steps for run in counted))
     if training := [run for run in runs if run.run in asked]:
@@ -100,14 +97,6 @@ def _seed(run: RunSummary, asked: dict[str, int]) -> Seed:
     success = "" if run.success_end is None else f", success {run.success_end:.3f}"
     why = f": {run.error}" if run.error else ""
     return Seed(run, SIGNS.get(run.state, "?"), f"seed {run.seed}, {run.state}{progress}{success}{why}")
-
-
-@lru_cache(maxsize=4096)
-def _estimate(values: tuple[float, ...], episodes: int | None) -> Estimate | None:
-    """The number and interval that `compare` shows of the experiment alone."""
-    name = "return" if episodes is None else "end"
-    tree = SeedTree(0).child("compare").child(0).child(name)
-    return estimate([values], aggregates.mean, tree, episodes) if values else None
 
 
 def _curve(tests: Sequence[CurvePoint], has_success: bool) -> list[tuple[float, float]]:

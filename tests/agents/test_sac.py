@@ -154,6 +154,15 @@ def test_the_share_of_random_actions_is_what_was_asked() -> None:
     assert (actions < 0.999).any(1).mean() == pytest.approx(0.25, abs=0.02)
 
 
+def test_the_asked_share_of_environments_acts_without_noise() -> None:
+    agent = make(quiet=0.4)
+    environments = np.arange(20)
+    acted = agent.act(*(np.repeat(part[:1], 20, 0) for part in _seen(0)), explore=True, environments=environments)
+    (quiet,) = np.nonzero((acted == agent.act(*_seen(0), explore=False)[0]).all(1))
+    assert len(quiet) == 8
+    assert len(np.unique(acted, axis=0)) == 13
+
+
 def test_bounds_that_do_not_hold_are_refused() -> None:
     with pytest.raises(ValidationError, match="clip_targets: false"):
         SAC.Settings(entropy_in_target=True)

@@ -77,7 +77,7 @@ def test_the_agent_in_examples_is_the_starter(tmp_path):
 
 
 def test_the_code_in_the_guides_is_that_of_the_starters(packages):
-    pages = [(ROOT / "docs" / f"{name}.md").read_text() for name in ("extending", "own_task", "own_agent")]
+    pages = [(ROOT / "docs" / f"{name}.md").read_text() for name in ("extending", "own_task", "own_agent", "deploy")]
     blocks = re.findall(r"<!-- from (\w+) (\w+): (\S+) -->\n```\w+\n(.*?)```", "".join(pages), re.DOTALL)
     assert len(re.findall(r"^```(?:python|toml)$", pages[0], re.MULTILINE)) == pages[0].count("<!-- from")
     assert {kind for kind, *_ in blocks} == set(STARTERS)
@@ -107,6 +107,7 @@ def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_pa
         ("task", "reach", "the package karolos has a task called 'reach' already"),
         ("gripper", "vacuum", "the package karolos has a gripper called 'vacuum' already"),
         ("distribution", "choice", "the package karolos has a distribution called 'choice' already"),
+        ("driver", "ur", "has a driver called 'ur' already"),
     ],
 )
 def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, name, what):

@@ -16,8 +16,8 @@ from karolos.records.shipped import shipped_names
 
 
 @pytest.fixture
-def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, proposals: Path) -> Path:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(proposals))
     monkeypatch.chdir(tmp_path)
     return exported_arm(tmp_path).model.urdf
 

@@ -79,7 +79,7 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatc
     monkeypatch.setattr(Spec, "files", lambda _: {"task.part": "2"})
     folder.describe(spec.dump(), experiment=spec.hash(), files={"task.part": "1"})
     with pytest.raises(RunError, match=r"the file of task\.part, or one that it names, was changed or is missing; put"):
-        run_or_resume(folder, None, lambda _: None, StopRequest(), beside=False)
+        run_or_resume(folder, None, lambda _: None, StopRequest(), two_processes=False)
 
 
 def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -112,7 +112,10 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engine: str, tmp_path: Path) -> None:
+def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(
+    engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.experiment.cores", lambda: 1)  # test_pending_tests has a process for tests
     spec = BASE | {
         "environment": {"name": "robot_task", "engine": engine},
         "robot": "panda",
@@ -304,7 +307,7 @@ def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: R
     with broken:
         broken.lock()
         url, stop = Store.default_url(broken.path.parent), StopRequest()
-        assert run_or_resume(broken, url, pytest.fail, stop, beside=False).state == "finished"
+        assert run_or_resume(broken, url, pytest.fail, stop, two_processes=False).state == "finished"
     assert broken.events() == before
 
 

@@ -13,7 +13,7 @@ import pytest
 from support import hostile
 from support.states import assert_same_runs
 
-from karolos.experiment import events
+from karolos.experiment import writer
 from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
 from karolos.experiment.signals import StopRequestedError, stop_on_signals
 from karolos.launchers.experiment import Experiment
@@ -95,8 +95,8 @@ def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal
 def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(events, "WRITE_SECONDS", 0.0)
-    monkeypatch.setattr(events, "ADVANCE_SECONDS", 0.0)
+    monkeypatch.setattr(writer, "WRITE_SECONDS", 0.0)
+    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
     steps: list[tuple[int, int]] = []
 
     def look(event: object) -> None:
@@ -152,8 +152,8 @@ def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], j
 
     def ask(event: object) -> None:
         if isinstance(event, RunAdvanced) and not asked:
-            asked.append(time.monotonic() + 1.0)
-            threading.Timer(1.0, terminate).start()
+            asked.append(time.monotonic() + 0.3)
+            threading.Timer(0.3, terminate).start()
 
     spec = hostile.spec("late step:hang", processes)
     spec["orchestrator"]["time_limit"] = 60.0

@@ -136,6 +136,9 @@ def test_what_an_agent_cannot_use_is_left_out_and_named(
     assert [spec.name for spec in found.specs] == left
     for words in said:
         assert words in "\n".join(found.notes)
+
+
+def test_a_suite_of_which_an_agent_can_use_nothing_is_refused_with_the_first_reason() -> None:
     with pytest.raises(KarolosError, match="takes 7 continuous numbers"):
         training.fitted(load_suite("all_tasks", ["agent=dqn", "buffer.hindsight.imitate=true"]))
 

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.fake_launcher import FakeLauncher
 from support.processes import child_processes, killed_when
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
@@ -49,6 +50,13 @@ def searched(spec: Any, runs: Path, **options: Any) -> tuple[SweepRecord, Outcom
     outcome = search.run(runs, **options)
     assert search.record is not None
     return search.record, outcome
+
+
+@pytest.fixture
+def plain(monkeypatch) -> None:
+    """Runs in this process, one after the other, and no figures, which take longer than the trials."""
+    monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: FakeLauncher())
+    monkeypatch.setattr(Study, "figures", lambda _: {})
 
 
 @pytest.fixture(scope="module")
@@ -175,6 +183,7 @@ def copied(killed, tmp_path) -> Path:
     return tmp_path / "runs"
 
 
+@pytest.mark.usefixtures("plain")
 def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_nothing(copied):
     (copied / "sweeps" / "line" / "final.json").unlink()
     outcome, _ = searched(SPEC | {"sweep": SPEC["sweep"] | {"final": None}}, copied)
@@ -197,12 +206,14 @@ def test_a_call_that_is_stopped_in_the_final_phase_keeps_that_of_an_earlier_one(
     assert read_sweep(Path(stopped.folder))[0].final == killed.final
 
 
+@pytest.mark.usefixtures("plain")
 def test_no_seed_that_the_best_was_chosen_by_reports_on_it_later(copied):
     more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
     found = [searched(spec, copied)[0].final for spec in (more, SPEC)]
     assert (found[0].seeds, found[1].report_seeds) == ((1, 3), (4,))
 
 
+@pytest.mark.usefixtures("plain")
 def test_a_sweep_that_has_its_trials_runs_nothing_more(killed):
     before = {path: path.stat().st_mtime_ns for path in Path(killed.folder).parents[1].glob("line-t*/tests.jsonl")}
     again, _ = searched(SPEC, Path(killed.folder).parents[1])
@@ -220,14 +231,14 @@ def test_the_folder_says_it_all_without_optuna(killed):
     assert (Path(killed.folder) / "figures" / "parallel.svg").read_text().count("agent.learning_rate") >= 1
 
 
-def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_marked(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("plain")
+def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_marked(tmp_path):
     heard = []
 
     def listen(event: object) -> None:
         if not isinstance(event, RunWarned):
             heard.append([trial.state for trial in find_sweep(tmp_path, "line").trials])
 
-    monkeypatch.setattr(Study, "figures", lambda _: {})
     space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
     spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
     outcome, _ = searched(spec, tmp_path, listener=listen)

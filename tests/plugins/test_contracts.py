@@ -24,6 +24,8 @@ USUAL = {"robots": "panda", "tasks": "reach"}
 ANYWHERE = {
     environments.different_seeds_give_different_episodes,
     environments.an_episode_ends_once_and_no_step_follows,
+    environments.steps_are_as_the_signature_says,
+    environments.the_goal_rule_gives_the_rewards_and_ends_of_the_steps,
     environments.a_step_stays_as_it_was_returned,
     environments.closing_twice_is_safe,
 }

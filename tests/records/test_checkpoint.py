@@ -8,8 +8,7 @@ import json
 import os
 import pickle
 import resource
-import subprocess
-import sys
+import signal
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from support.states import same
 
+from karolos import system
 from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import checkpoint
 from karolos.records.checkpoint import _SOUND, FORMAT, SIZE, CheckpointError, decode, encode, load, save, seal
@@ -101,31 +101,30 @@ def test_disk_that_fails_at_any_moment_keeps_a_whole_checkpoint(
     assert [path.name for path in whole.parent.iterdir()] == ["best"]
 
 
-KILLED = """
-import os, signal, sys
-from pathlib import Path
-from karolos import system
-from karolos.records import checkpoint
-folder, place = Path(sys.argv[1]), int(sys.argv[2])
-rename = system.replace
-def count_down(*arguments):
-    global place
-    if not arguments[0].is_dir():  # the manifest
-        return rename(*arguments)
-    if place == 0:
+def killed_at(folder: Path, place: int) -> int:
+    """Save in a fork of this process that is killed before it renames folder `place`, or at its end; how it ended."""
+    if child := os.fork():
+        return os.waitpid(child, 0)[1]
+    rename, left = system.replace, [place]
+
+    def count_down(source: Path, target: Path) -> None:
+        if source.is_dir():  # not the manifest
+            if not left[0]:
+                os.kill(os.getpid(), signal.SIGKILL)
+            left[0] -= 1
+        rename(source, target)
+
+    try:
+        system.replace = count_down
+        checkpoint.save(folder, "best", {"agent": {"x": 1}}, {"steps": 8})
         os.kill(os.getpid(), signal.SIGKILL)
-    place -= 1
-    return rename(*arguments)
-system.replace = count_down
-checkpoint.save(folder, "best", {"agent": {"x": 1}}, {"steps": 8})
-os.kill(os.getpid(), signal.SIGKILL)
-"""
+    finally:
+        os._exit(1)  # an error of it is not one of this test alone
 
 
 @pytest.mark.parametrize(("place", "steps"), [(0, 7), (1, 7), (2, 8)])
 def test_process_killed_between_renames_leaves_a_checkpoint(whole: Path, place: int, steps: int) -> None:
-    command = [sys.executable, "-c", KILLED, str(whole.parent), str(place)]
-    assert subprocess.run(command, check=False).returncode == -9
+    assert killed_at(whole.parent, place) == signal.SIGKILL
     assert load(whole.parent, "best")[1]["steps"] == steps
     assert checkpoint.names(whole.parent) == ("best",)
     assert checkpoint.read_meta(whole.parent, "best")["steps"] == steps

@@ -24,6 +24,11 @@ def text_of(compared: Comparison) -> str:
     return comparison_page(compared, comparison_figures(compared))
 
 
+@pytest.fixture(scope="module")
+def usual() -> str:
+    return text_of(comparison())
+
+
 def test_page_shows_figures_numbers_warnings_settings_and_runs() -> None:
     other = SPEC | {"agent": {"name": "ppo"}}
     text = text_of(compare([contender("one", CURVES), contender("two", CURVES[:2], spec=other)]))
@@ -64,8 +69,8 @@ def test_every_text_is_escaped_and_cleaned() -> None:
     assert not re.search("<script|<img|\x1b|\u202e", text)
 
 
-def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice() -> None:
-    text = text_of(comparison())
+def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice(usual: str) -> None:
+    text = usual
     assert not re.search(r"https?:|@import|src=|href=\"(?!#|data:image/png;base64,)|url\((?!#)", text)
     [policy] = re.findall(r'Content-Security-Policy" content="(.*?)"', text.partition("<style>")[0])
     assert policy == (
@@ -77,15 +82,14 @@ def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice() -> None:
 
 
 @pytest.mark.parametrize("box", ["show-0", "show-1", "seeds"])
-def test_each_box_of_the_legend_hides_something_without_a_script(box: str) -> None:
-    text = text_of(comparison())
-    assert f'id="{box}"' in text
-    [hidden] = re.findall(rf"body:has\(#{box}:not\(:checked\)\) \.(\S+){{display:none}}", text)
-    assert re.search(rf'class="[^"]*\b{hidden}\b', text)
+def test_each_box_of_the_legend_hides_something_without_a_script(box: str, usual: str) -> None:
+    assert f'id="{box}"' in usual
+    [hidden] = re.findall(rf"body:has\(#{box}:not\(:checked\)\) \.(\S+){{display:none}}", usual)
+    assert re.search(rf'class="[^"]*\b{hidden}\b', usual)
 
 
-def test_same_comparison_gives_the_same_page() -> None:
-    assert text_of(comparison()) == text_of(comparison())
+def test_same_comparison_gives_the_same_page(usual: str) -> None:
+    assert text_of(comparison()) == usual
 
 
 def test_seventh_contender_is_dashed() -> None:
@@ -155,9 +159,9 @@ def check_figures(column: _Picture, figures: int) -> None:
 
 
 @pytest.fixture(scope="module")
-def wide(tmp_path_factory: pytest.TempPathFactory) -> tuple[_Picture, list[str]]:
+def wide(tmp_path_factory: pytest.TempPathFactory, usual: str) -> tuple[_Picture, list[str]]:
     """The usual page."""
-    return opened(text_of(comparison()), tmp_path_factory.mktemp("wide"), 1280)
+    return opened(usual, tmp_path_factory.mktemp("wide"), 1280)
 
 
 @in_browser
@@ -175,18 +179,18 @@ def test_wide_page_draws_its_figures_side_by_side(
 
 
 @in_browser
-def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_out(tmp_path: Path) -> None:
-    picture, console = opened(text_of(comparison()), tmp_path, 400)
+def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_out(tmp_path: Path, usual: str) -> None:
+    picture, console = opened(usual, tmp_path, 400)
     assert console == []
     check_figures(picture, 6)
     assert near(picture[:, -8:], "#ffffff", 0).all()
 
 
 @in_browser
-def test_security_policy_stops_what_should_ever_get_into_the_page(tmp_path: Path) -> None:
+def test_security_policy_stops_what_should_ever_get_into_the_page(tmp_path: Path, usual: str) -> None:
     """And shows that the tests above would hear of it."""
     foreign = '<script>console.error("ran")</script><img src="http://127.0.0.1:9/x.png"></body>'
-    _, console = opened(text_of(comparison()).replace("</body>", foreign), tmp_path, 400)
+    _, console = opened(usual.replace("</body>", foreign), tmp_path, 400)
     told = "\n".join(console)
     for part in ("inline script violates", "Loading the image"):
         assert part in told
@@ -194,8 +198,8 @@ def test_security_policy_stops_what_should_ever_get_into_the_page(tmp_path: Path
 
 
 @in_browser
-def test_unchecked_box_hides_its_contender(tmp_path: Path, wide: tuple[_Picture, list[str]]) -> None:
+def test_unchecked_box_hides_its_contender(tmp_path: Path, wide: tuple[_Picture, list[str]], usual: str) -> None:
     shown, _ = wide
-    hidden, _ = opened(text_of(comparison()).replace(' checked id="show-1"', ' id="show-1"'), tmp_path, 1280)
+    hidden, _ = opened(usual.replace(' checked id="show-1"', ' id="show-1"'), tmp_path, 1280)
     assert near(hidden, COLOURS[1]).sum() < near(shown, COLOURS[1]).sum() / 3  # its entry of the legend stays
     assert near(hidden, COLOURS[0]).sum() > near(shown, COLOURS[0]).sum() * 0.9

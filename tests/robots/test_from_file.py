@@ -13,20 +13,22 @@ from karolos.errors import PluginError
 from karolos.evaluation.changed_spec import changed_spec
 from karolos.evaluation.policies import signature_of
 from karolos.files import copy_named, fingerprint
+from karolos.plugins.contracts.case import candidate
+from karolos.plugins.contracts.robots import reaching
 from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.robots import from_file
 from karolos.robots.from_file import FromFile, proposal_of
 from karolos.robots.proposal import propose
-from karolos.robots.repair import USUAL_SPEED
+from karolos.robots.repair import USUAL_SPEED, Repair
 from karolos.simulation import urdf
 from karolos.specification import Spec, load_spec, spec_from_dict
 
 
 @pytest.fixture
-def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A URDF with two fingers, and a folder of caches of its own."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, proposals: Path) -> Path:
+    """A URDF with two fingers; what is assumed of it stands in a folder of caches for all tests."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(proposals))
     from_file._cached.cache_clear()
     return exported_arm(tmp_path).model.urdf
 
@@ -77,7 +79,8 @@ def test_an_override_names_a_file_in_the_current_folder(arm: Path, monkeypatch: 
     assert spec.robot.settings.model_dump()["tool_step"] == 0.034, "settings of all arms stay"
 
 
-def test_a_proposal_is_computed_once(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_proposal_is_computed_once(arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     first = robot_of(file=str(arm)).model
     from_file._cached.cache_clear()
     monkeypatch.setattr(from_file, "propose", None)  # not called
@@ -113,7 +116,8 @@ def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm: Path, tmp_p
         copy = copy_named(path, tmp_path / "copies" / path.stem)
         assert copy.parent.is_relative_to(tmp_path / "copies" / path.stem)
         assert fingerprint(copy) == fingerprint(path)
-        assert propose(copy).model.home == propose(path).model.home
+        assert not Repair(copy).findings, "each mesh is there"
+        assert urdf.load(copy).joints == urdf.load(path).joints
 
 
 def test_a_run_reads_its_own_copy_of_the_file(arm: Path, tmp_path: Path) -> None:
@@ -170,3 +174,17 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
     assert 6.0 < sum(masses) < 9.0, "the base weighs the rest"
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
+
+
+def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None:
+    arm.write_text(re.sub(r'effort="\d+"', 'effort="9000"', arm.read_text(), count=len(LINKS)))
+    ways = []
+    for mass in (100.0, 400.0):
+        with reaching(candidate("robots", "urdf", file=str(arm), mass=mass, control="impedance")) as environment:
+            environment.reset(0)
+            start, sideways = environment.robot.tool_position[1], np.eye(6)[1] / 2
+            for step in range(30):
+                environment.step(sideways * (step < 12))
+            ways.append(environment.robot.tool_position[1] - start)
+    assert ways[0] > 0.05
+    assert ways[1] == pytest.approx(ways[0], rel=0.02)

@@ -6,7 +6,7 @@ import itertools
 import json
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -282,62 +282,77 @@ def store(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Store]:
         yield store
 
 
-@pytest.mark.parametrize(("key", "text"), DAMAGE)
-def test_a_folder_without_a_description_is_named_and_the_others_are_indexed(
-    store: Store, tmp_path: Path, key: str, text: str
-) -> None:
-    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+def damaged(runs: Path, values: Iterable[tuple[str, str, str]]) -> dict[str, tuple[str, str, str]]:
+    """A finished run for each file, key and text that damages it; the damage by the ids of the runs."""
+    found = {}
+    for seed, (file, key, text) in enumerate(values):
+        with new_run(runs, seed=seed) as bad:
+            bad.set_state("finished", steps=10)
+        put(bad, file, key, text)
+        found[bad.id] = file, key, text
+    return found
+
+
+def named(run: str, problems: Iterable[str]) -> list[str]:
+    return [problem for problem in problems if run in problem]
+
+
+def test_folders_without_a_description_are_named_and_the_others_are_indexed(store: Store, tmp_path: Path) -> None:
+    with new_run(tmp_path, seed=99) as good:
         pass
-    put(bad, "run.json", key, text)
+    bad = damaged(tmp_path, [("run.json", key, text) for key, text in DAMAGE])
     done = reindex(store, tmp_path)
     assert [run.run for run in store.runs()] == [good.id]
     assert done.runs == 1
-    assert [bad.id in problem and "\n" not in problem for problem in done.problems] == [True]
-    assert [bad.id in found.what for found in check(store, tmp_path)] == [True]
+    for problems in (done.problems, [found.what for found in check(store, tmp_path)]):
+        assert len(problems) == len(bad)
+        for run, damage in bad.items():
+            assert ["\n" in problem for problem in named(run, problems)] == [False], damage
 
 
-@pytest.mark.parametrize(("file", "key", "text"), MISREAD)
-def test_a_file_that_cannot_be_read_is_named_and_the_rest_of_the_folder_is_indexed(
-    store: Store, tmp_path: Path, file: str, key: str, text: str
+def test_files_that_cannot_be_read_are_named_and_the_rest_of_their_folders_is_indexed(
+    store: Store, tmp_path: Path
 ) -> None:
-    with new_run(tmp_path) as bad:
-        bad.set_state("finished", steps=10)
-    put(bad, file, key, text)
-    (problem,) = reindex(store, tmp_path).problems
-    assert problem.startswith(f"{bad.id}: {file}: missing")
-    assert [run.run for run in store.runs()] == [bad.id]
-    assert [one.what for one in check(store, tmp_path)] == [problem]
+    bad = damaged(tmp_path, MISREAD)
+    problems = reindex(store, tmp_path).problems
+    assert len(problems) == len(bad)
+    for run, damage in bad.items():
+        assert [one.startswith(f"{run}: {damage[0]}: missing") for one in named(run, problems)] == [True], damage
+    assert {run.run for run in store.runs()} == set(bad)
+    assert sorted(one.what for one in check(store, tmp_path)) == sorted(problems)
 
 
-@pytest.mark.parametrize(
-    ("file", "key"), [("state.json", "error"), ("run.json", "versions"), ("resolved.json", "note")]
-)
-@pytest.mark.parametrize("text", ['"\\u0000"', '"1e999"', "1e999", "[" * 60 + "]" * 60, '"' + "x" * 1000 + '"'])
-def test_an_odd_value_is_stored_or_its_run_is_named(
-    store: Store, tmp_path: Path, file: str, key: str, text: str
-) -> None:
-    with new_run(tmp_path) as good, new_run(tmp_path) as bad:
+def test_odd_values_are_stored_or_their_runs_are_named(store: Store, tmp_path: Path) -> None:
+    with new_run(tmp_path, seed=99) as good:
         pass
-    put(bad, file, key, f'{{"x": {text}}}' if key == "versions" else text)
+    texts = ('"\\u0000"', '"1e999"', "1e999", "[" * 60 + "]" * 60, '"' + "x" * 1000 + '"')
+    places = (("state.json", "error"), ("run.json", "versions"), ("resolved.json", "note"))
+    bad = damaged(
+        tmp_path,
+        [
+            (file, key, f'{{"x": {text}}}' if key == "versions" else text)
+            for text, (file, key) in itertools.product(texts, places)
+        ],
+    )
     done = reindex(store, tmp_path)
     indexed = {run.run for run in store.runs()}
-    assert indexed == {good.id, bad.id} or (indexed == {good.id} and [bad.id in one for one in done.problems] == [True])
+    assert good.id in indexed
+    for run, damage in bad.items():
+        assert run in indexed or len(named(run, done.problems)) == 1, damage
     assert [one for one in check(store, tmp_path) if one.run == good.id] == []
 
 
-@pytest.mark.parametrize(
-    "change",
-    [('"seconds":0.1', '"seconds":NaN'), ('"seconds":0.1', '"seconds":1e999'), ('"steps":10', f'"steps":{1 << 64}')],
-)
-def test_a_test_with_impossible_numbers_is_left_out(store: Store, tmp_path: Path, change: tuple[str, str]) -> None:
-    with new_run(tmp_path) as bad:
-        bad.add_test(result(10, 3))
-        bad.add_test(result(20, 4))
-    file = bad.path / "tests.jsonl"
-    file.write_text(file.read_text().replace(*change))
-    (problem,) = reindex(store, tmp_path).problems
-    assert "tests.jsonl" in problem
-    assert [test.steps for test in stored(store, bad.id).tests] == [20]
+def test_tests_with_impossible_numbers_are_left_out(store: Store, tmp_path: Path) -> None:
+    for seed, (old, new) in enumerate(
+        (('"seconds":0.1', '"seconds":NaN'), ('"seconds":0.1', '"seconds":1e999'), ('"steps":10', f'"steps":{1 << 64}'))
+    ):
+        with new_run(tmp_path, seed=seed) as bad:
+            bad.add_test(result(10, 3))
+            bad.add_test(result(20, 4))
+        file = bad.path / "tests.jsonl"
+        file.write_text(file.read_text().replace(old, new))
+        assert ["tests.jsonl" in one for one in named(bad.id, reindex(store, tmp_path).problems)] == [True], new
+        assert [test.steps for test in stored(store, bad.id).tests] == [20], new
 
 
 def test_a_run_that_the_database_refuses_is_named_and_the_others_are_entered(tmp_path: Path) -> None:

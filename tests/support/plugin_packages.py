@@ -14,6 +14,7 @@ STARTERS = {
     "buffer": "my_buffer",
     "environment": "my_environment",
     "distribution": "my_distribution",
+    "driver": "my_driver",
 }
 """Kinds, and what docs/extending.md calls its example of each."""
 

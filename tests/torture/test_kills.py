@@ -22,7 +22,7 @@ from support.states import run_differences
 from support.torture import SEED, TIMES, karolos
 from support.toy_runs import run_of, toy
 
-from karolos.experiment import events
+from karolos.experiment import writer
 from karolos.experiment.events import RunAdvanced, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
@@ -149,7 +149,7 @@ LEARNS: dict[str, Any] = {
 @pytest.fixture
 def heard_always(monkeypatch: pytest.MonkeyPatch) -> None:
     """A run is heard of after each round, however fast it is."""
-    monkeypatch.setattr(events, "ADVANCE_SECONDS", 0.0)
+    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
 
 
 class Killer:

@@ -18,7 +18,7 @@ class Driver:
 
     The executor calls `connect`, then `begin` for each episode, then in each cycle `read`, `send` and `wait`; after a
     fault or at the end `stop`, and `close`. A driver raises `Fault` where the robot or the connection fails, and sends
-    nothing after `stop`.
+    nothing after `stop`. `karolos_deploy.contracts` checks all this.
 
     Args:
         bundle: what will be run.
@@ -29,6 +29,8 @@ class Driver:
     """Names of settings and their defaults."""
     modes: ClassVar[tuple[str, ...]] = ("joint", "cartesian", "pose", "impedance")
     """Control modes that the driver can follow."""
+    acceleration_share: ClassVar[float] = 1.0
+    """Fraction of the joints' accelerations that set points use. What is left is for following them."""
     rate: float
     """Set points per second; the executor sets it."""
 

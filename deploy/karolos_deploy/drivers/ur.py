@@ -8,7 +8,6 @@ watchdog).
 from __future__ import annotations
 
 import socket
-import threading
 import time
 from collections.abc import Mapping
 from typing import Any, ClassVar
@@ -17,11 +16,11 @@ import numpy as np
 
 from ..bundle import Bundle, BundleError
 from ..faults import Fault
-from ..kinematics import Array, turn_of, turned_by
+from ..kinematics import turn_of, turned_by
 from ..motion import shortened
 from ..readings import RUNNING, Reading, SetPoint
 from . import Driver
-from .simulation import Channel
+from .sensors import Sensors
 
 VARIABLES = [
     "timestamp",
@@ -41,8 +40,6 @@ DECELERATION = 5.0
 """Of a controlled stop, rad/s2."""
 TCP_TOLERANCE = 0.01
 """m by which the controller's tool centre point may be elsewhere than that of the bundle."""
-SENSOR_RATE = 125.0
-"""Questions per second to gripper and cameras."""
 
 
 class UR(Driver):
@@ -65,13 +62,9 @@ class UR(Driver):
         self._impedance = bundle.contract["control"]["mode"] == "impedance"
         self._receive: Any = None
         self._control: Any = None
-        self._time = -1.0
-        self._opening, self._wanted = 0.0, -1
-        self._measured: dict[str, Array] = {}
-        self._failed: Fault | None = None
-        self._ended = threading.Event()
+        self._time, self._moves = -1.0, False
         self._gripper: Any = None
-        self._perception: Channel | None = None
+        self._sensors: Sensors | None = None
 
     def connect(self) -> dict[str, Any]:
         try:
@@ -95,9 +88,7 @@ class UR(Driver):
         if self.values["zero_wrench"] == "yes":
             self._control.zeroFtSensor()
         self._calibrate()
-        if self.values["perception"]:
-            self._perception = Channel(self.values["perception"])
-        threading.Thread(target=self._sense, daemon=True).start()
+        self._sensors = Sensors(self.values["perception"], self._grip if self._gripper is not None else None)
         return {"name": model, "joints": len(self._receive.getActualQ()), "payload": self._receive.getPayload()}
 
     def _calibrate(self) -> None:
@@ -111,23 +102,11 @@ class UR(Driver):
             raise Fault("wrong robot", what + "; set the TCP of the gripper on the controller")
         self._turn = turned_by((0.0, 0.0, np.arctan2(own[1], own[0]) - np.arctan2(told[1], told[0])))
 
-    def _sense(self) -> None:
-        """Ask gripper and cameras, in a thread: their answers take longer than a cycle."""
-        told = -1
-        try:
-            while not self._ended.wait(1 / SENSOR_RATE):
-                if self._gripper is not None:
-                    if self._wanted not in (-1, told):
-                        told = self._wanted
-                        self._say(f"SET POS {told}")
-                    self._opening = 1 - int(self._say("GET POS").split()[-1]) / 255
-                if self._perception is not None:
-                    answer = self._perception.ask(do="measured")["measured"]
-                    self._measured = {name: np.array(values) for name, values in answer.items()}
-        except (OSError, ValueError, IndexError):
-            self._failed = Fault("connection lost", "the gripper does not answer")
-        except Fault as fault:
-            self._failed = fault
+    def _grip(self, wanted: float | None) -> float:
+        """Tell the gripper its opening, and ask for the one that it has."""
+        if wanted is not None:
+            self._say(f"SET POS {round(255 * (1 - wanted))}")
+        return 1 - int(self._say("GET POS").split()[-1]) / 255
 
     def _say(self, command: str) -> str:
         self._gripper.write(command + "\n")
@@ -135,22 +114,21 @@ class UR(Driver):
         return str(self._gripper.readline())
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
-        goal: list[float] | None = None
-        if self._perception is not None:
-            goal = self._perception.ask(do="begin", episode=episode).get("goal")
+        assert self._sensors is not None
+        goal = self._sensors.begin(episode)
         time.sleep(0.3)  # until all that is told is of the new episode
         if not self._control.isProgramRunning():
             self._control.reuploadScript()
             time.sleep(0.2)  # until the program waits for commands
         if move and not self._control.setWatchdog(self.number("watchdog")):
             raise Fault("refused", "the controller took no watchdog")
-        self._time = -1.0
+        self._time, self._moves = -1.0, move
         return goal
 
     def read(self) -> Reading | None:
-        receive = self._receive
-        if self._failed is not None:
-            raise self._failed
+        receive, sensors = self._receive, self._sensors
+        assert sensors is not None
+        sensors.check()
         if not receive.isConnected():
             raise Fault("connection lost", "the controller ended it")
         stamp = receive.getTimestamp()
@@ -168,11 +146,13 @@ class UR(Driver):
         self._at = self.bundle.chain.at(positions)
         back = self._at.rotation.T @ self._turn
         wrench = (back @ np.reshape(receive.getActualTCPForce(), (2, 3)).T).T.ravel()
-        return Reading(stamp, positions, velocities, wrench, self._opening, dict(self._measured), state)
+        return Reading(stamp, positions, velocities, wrench, sensors.opening, sensors.measured, state)
 
     def send(self, point: SetPoint) -> None:
-        if point.opening is not None:
-            self._wanted = round(255 * (1 - point.opening))
+        if not self._moves:
+            return
+        assert self._sensors is not None
+        self._sensors.wanted = point.opening
         try:
             done = self._press(point) if point.positions is None else self._follow(point)
         except RuntimeError as error:  # the client tried to connect again
@@ -202,6 +182,7 @@ class UR(Driver):
         return bool(self._control.forceMode([0.0] * 6, [1] * 6, wrench, 2, [speed] * 3 + [1.0] * 3))
 
     def stop(self) -> None:
+        self._moves = False
         if self._control is None or not self._receive.isConnected():
             return  # the client would connect again; the controller's watchdog has stopped the robot
         try:
@@ -213,13 +194,14 @@ class UR(Driver):
             pass  # the watchdog stops it
 
     def outcome(self) -> bool | None:
-        return None if self._perception is None else self._perception.ask(do="outcome").get("success")
+        assert self._sensors is not None
+        return self._sensors.outcome()
 
     def close(self) -> None:
-        self._ended.set()
+        if self._sensors is not None:
+            self._sensors.close()
         for one in (self._control, self._receive):
             if one is not None:
                 one.disconnect()
-        for other in (self._perception, self._gripper):
-            if other is not None:
-                other.close()
+        if self._gripper is not None:
+            self._gripper.close()

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from pydantic import ValidationError
 
 from ...core import Discrete, Environment, Step
-from ...errors import UsageError
-from ...registry import alternatives, load
+from ...errors import UsageError, alternatives
+from ...registry import load
 from ...simulation.engines import ENGINES
 from ...specification import Spec, spec_from_dict
 from ...specification.parts import Part, Recipe

@@ -8,8 +8,8 @@ from dataclasses import replace
 from typing import Any
 
 from ...environments.robot_task import RobotTask
-from ...errors import KarolosError, UsageError
-from ...registry import alternatives, blaming, names, singular
+from ...errors import KarolosError, UsageError, alternatives
+from ...registry import blaming, names, singular
 from ...robots.arm import Arm
 from ...simulation.engines import ENGINES
 from ...simulation.interface import Cup

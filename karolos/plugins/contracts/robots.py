@@ -379,15 +379,18 @@ def joints_and_tool_keep_their_speeds_in_every_physics_step(environment: RobotTa
 
 @SHEET
 def accelerations_are_those_of_the_data_sheet(environment: RobotTask) -> None:
-    """With `acceleration: sheet` no joint changes its speed by more than the data sheet's acceleration and a tenth."""
+    """Motors change no joint's speed by more than the sheet's acceleration and a tenth, until something is touched."""
     robot: Any = environment.robot
     largest = np.array(robot.model.accelerations)
-    measured = np.zeros(len(largest))
-    for number, action in enumerate(_full_actions(environment, 48, held=4)):
-        if number % 8 == 0:  # before the arm meets the floor
+    measured, touched = np.zeros(len(largest)), True
+    for number, action in enumerate(_full_actions(environment, 240, held=4)):
+        if touched or number % 8 == 0:
             environment.reset(number)
             before = np.zeros(len(largest))
         environment.step(action)
+        touched = bool(environment.world.forces(robot.body))  # the floor stops an arm faster than its motors
+        if touched:
+            continue
         speeds = np.array(robot.joint_velocities)
         measured, before = np.maximum(measured, np.abs(speeds - before) / robot.period), speeds
     joint = int(np.argmax(measured / largest))

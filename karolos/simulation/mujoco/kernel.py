@@ -67,6 +67,7 @@ TOOL = np.dtype(
         ("speeds", np.float64, MOST_JOINTS),  # largest ones in rad/s
         ("home", np.float64, MOST_JOINTS),  # in rad
         ("spring", np.float64, 4),  # stiffness, N/m and N m/rad; largest error, m and rad; 0 N/m: there is no spring
+        ("felt", np.float64),  # share of the arm's inertia that is felt
         ("damping", np.float64, (6, 6)),  # along and about the world's axes, N s/m, N m s/rad and mixed
         ("aim", np.float64, 13),  # set point at the begin of the control step, m, quaternion; its velocity, m/s, rad/s
         ("share", np.float64),  # fraction of a new wrench that the low-pass takes in a physics step
@@ -254,7 +255,8 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
 
     At the end of the step, where v' = v + h a, F = K e - D v is K e - (D + h K) v - h (D + h K) a. The first two terms
     are a force; the last one, in the joints h J^T (D + h K) J, is added to the inertia, so that contacts feel it, too.
-    Without it a stiff spring would be unstable: light wrists swing within two physics steps.
+    Without it a stiff spring would be unstable: light wrists swing within two physics steps. Of a heavy arm's inertia a
+    part is taken away there: its motors move that part as its acceleration asks, which their torques include.
 
     The set point runs ahead by the way that damping would keep the tool behind. All of the error is then clipped, so
     that whatever the set point does, a tool at rest presses with K times the limit at the most.
@@ -319,7 +321,11 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
         _store(applied + dof, tool.torques[j])
         for k in range(j + 1):
             entry = inertia + 8 * tool.entries[j, k]
-            _store(entry, _number(entry) + tool.added[j, k])
+            own = _number(entry)
+            if tool.felt < 1:
+                tool.added[j, k] -= (1 - tool.felt) * own
+                tool.added[k, j] = tool.added[j, k]
+            _store(entry, own + tool.added[j, k])
     _factor(model, data)
 
 

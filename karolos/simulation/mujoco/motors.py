@@ -14,6 +14,9 @@ from .simulation import MujocoBody, Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
 """`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""
+HEAVIEST_TOOL = 15.0
+"""Largest mass in kg of a tool on a spring, in any direction at home, as a UR10's has. Controllers of heavier arms let
+them feel lighter, by the force that they measure at the wrist: in contact nothing else is gentle."""
 LEAST_FORCE = 1e-9
 """N or N m: friction of a joint without friction."""
 
@@ -119,7 +122,9 @@ class MujocoMotors:
             own["cup"], own["lip"] = self._cup.max_force, (1 << len(lip)) - 1
         if self._spring is not None:
             own["home"][:size] = self._spring.home
-            self._root = self._simulation.root_of_mass(row, self._spring.home)
+            root = self._simulation.root_of_mass(row, self._spring.home)
+            own["felt"] = felt = min(1.0, HEAVIEST_TOOL / float(np.linalg.eigvalsh((root @ root)[:3, :3])[-1]))
+            self._root = np.sqrt(felt) * root
             self._write_spring(self._spring)
             self._simulation.sprung.update({int(dof): (row, joint) for joint, dof in enumerate(dofs[:size])})
 

@@ -1,0 +1,185 @@
+"""The driver `franka`: arms of Franka Robotics through franky-control. It was never tried on hardware.
+
+It was tried against franky-sim. franky's own loop of 1 kHz makes joint speeds of what it is told, within the limits of
+speed, acceleration and jerk. If nothing more is told, the robot stops after `WATCHDOG`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import numpy as np
+
+from ..bundle import Bundle, BundleError
+from ..faults import Fault
+from ..readings import RUNNING, Reading, SetPoint
+from . import Driver
+from .sensors import Sensors
+
+STATES = {"UserStopped": "emergency stop", "Reflex": "reflex", "Guiding": "guided by hand", "Other": "not ready"}
+"""Modes of the robot in which it follows nothing -> states."""
+SPEED_SHARE = 0.99
+"""Fraction of the largest speed of each joint that is asked for."""
+CATCH_UP = 0.05
+"""Time constant in s with which joints come to their set points."""
+WATCHDOG = 100
+"""Milliseconds after the last set point in which the robot begins to stop."""
+SILENCE = 0.5
+"""Seconds without news of the controller's clock after which the connection is lost."""
+TCP_TOLERANCE = 0.01
+"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
+GRIPPER_SPEED = 0.1
+"""m/s."""
+
+
+class Franka(Driver):
+    """Runs the policy on an arm of Franka Robotics."""
+
+    settings: ClassVar[Mapping[str, str]] = {
+        "host": "",  # of the controller
+        "realtime": "yes",  # no: this computer's kernel is not a realtime one
+        "gripper": "yes",  # no: the hand is not asked
+        "grasp_force": "40",  # N
+        "home": "no",  # yes: move to the start pose before each episode, at a tenth of the largest speed
+        "perception": "",  # HOST:PORT of what tells the measured fields, see docs/deploy.md
+    }
+    modes = ("joint", "cartesian", "pose")
+    acceleration_share = 0.7
+
+    def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
+        super().__init__(bundle, settings)
+        if not self.values["host"]:
+            raise BundleError("the address of the controller is missing: --set host=...")
+        self._robot: Any = None
+        self._hand: Any = None
+        self._sensors: Sensors | None = None
+        self._closing = self._closed = False
+        self._busy: Any = None
+        self._moves = False
+
+    def connect(self) -> dict[str, Any]:
+        try:
+            import franky  # noqa: PLC0415  (optional)
+        except ImportError:
+            raise BundleError("franky-control is missing; pip install 'karolos-deploy[franka]'") from None
+        self._franky, host = franky, self.values["host"]
+        config = franky.RealtimeConfig
+        try:
+            self._robot = franky.Robot(
+                host, realtime_config=config.Enforce if self.values["realtime"] == "yes" else config.Ignore
+            )
+            if self.values["gripper"] == "yes":
+                self._hand = franky.Gripper(host)
+                self._width = self._hand.state.max_width
+        except franky.Exception as error:
+            raise Fault("no connection", f"{host}: {str(error).splitlines()[0]}") from None
+        self._fastest = SPEED_SHARE * np.array(self._robot.joint_velocity_limit.get())
+        state = self._robot.state
+        own = self.bundle.chain.at(state.q_d).position - self.bundle.chain.base
+        told = np.array(state.O_T_EE.translation)
+        if np.linalg.norm(own - told) > TCP_TOLERANCE:
+            what = f"its end effector is at {told.round(3).tolist()}, joints and bundle say {own.round(3).tolist()}"
+            raise Fault("wrong robot", what + "; set the end effector of the hand in Desk")
+        self._sensors = Sensors(self.values["perception"], self._grip if self._hand is not None else None)
+        return {"joints": len(state.q), "payload": state.m_total}
+
+    def _grip(self, wanted: float | None) -> float:
+        """Tell the hand to close or to open, and ask for its opening. It takes a command only after the one before."""
+        try:
+            if wanted is not None:
+                self._closing = wanted < 0.5
+            if self._closing != self._closed and (self._busy is None or self._busy.wait(0.0)):
+                self._closed, force = self._closing, self.number("grasp_force")
+                if self._closing:
+                    self._busy = self._hand.grasp_async(0.0, GRIPPER_SPEED, force, epsilon_outer=self._width)
+                else:
+                    self._busy = self._hand.move_async(self._width, GRIPPER_SPEED)
+            return float(self._hand.state.width / self._width)
+        except self._franky.Exception as error:
+            raise OSError(str(error)) from None
+
+    def begin(self, episode: int, *, move: bool) -> list[float] | None:
+        assert self._sensors is not None
+        goal = self._sensors.begin(episode)
+        try:
+            if move and self.values["home"] == "yes":
+                home = self._franky.JointState([joint["home"] for joint in self.bundle.contract["joints"]])
+                self._robot.move(self._franky.JointMotion(home, relative_dynamics_factor=0.1))
+            if move:
+                self._turn(np.zeros(len(self.bundle.contract["joints"])))
+        except self._franky.Exception as error:
+            raise Fault("refused", str(error).splitlines()[0]) from None
+        time.sleep(0.3)  # until all that is told is of the new episode
+        self._moves = move
+        return goal
+
+    def _turn(self, speeds: Any) -> None:
+        """Have the joints turn with these speeds, in rad/s."""
+        motion = self._franky.JointVelocityMotion(speeds.tolist(), self._franky.Duration(WATCHDOG))
+        self._robot.move(motion, asynchronous=True)
+
+    def _state(self) -> Any:
+        try:
+            return self._robot.state
+        except self._franky.Exception as error:
+            raise Fault("connection lost", str(error).splitlines()[0]) from None
+
+    def now(self) -> float:
+        """The controller's clock, which a simulated one may run slowly."""
+        return float(self._state().time.to_sec())
+
+    def wait(self, until: float) -> None:
+        told, since = self.now(), time.perf_counter()
+        while told < until:
+            time.sleep(min(until - told, 5e-4))
+            before, told = told, self.now()
+            if told != before:
+                since = time.perf_counter()
+            elif time.perf_counter() - since > SILENCE:
+                raise Fault("connection lost", "the controller's clock stands")
+
+    def read(self) -> Reading | None:
+        assert self._sensors is not None
+        self._sensors.check()
+        state = self._state()
+        self._positions = np.array(state.q)
+        back = self.bundle.chain.at(self._positions).rotation.T
+        wrench = (back @ np.reshape(state.O_F_ext_hat_K, (2, 3)).T).T.ravel()
+        mode = STATES.get(state.robot_mode.name, RUNNING)
+        stamp, velocities = float(state.time.to_sec()), np.array(state.dq)
+        return Reading(stamp, self._positions, velocities, wrench, self._sensors.opening, self._sensors.measured, mode)
+
+    def send(self, point: SetPoint) -> None:
+        if not self._moves:
+            return
+        assert self._sensors is not None
+        assert point.positions is not None
+        assert point.velocities is not None
+        self._sensors.wanted = point.opening
+        try:
+            way = point.positions - self._positions - point.velocities / self.rate  # it is of the end of the cycle
+            self._turn(np.clip(point.velocities + way / CATCH_UP, -self._fastest, self._fastest))
+        except self._franky.Exception as error:  # the motion before has failed
+            self.read()
+            raise Fault("refused", str(error).splitlines()[0]) from None
+
+    def stop(self) -> None:
+        moved, self._moves = self._moves, False
+        if not moved:
+            return
+        try:
+            self._robot.move(self._franky.JointVelocityStopMotion(), asynchronous=True)
+            self._robot.join_motion(1.0)
+        except self._franky.Exception:
+            pass  # then it has stopped by itself
+
+    def outcome(self) -> bool | None:
+        assert self._sensors is not None
+        return self._sensors.outcome()
+
+    def close(self) -> None:
+        if self._sensors is not None:
+            self._sensors.close()
+        self._robot = self._hand = None

@@ -1,0 +1,75 @@
+"""Gripper and cameras of a driver, which answer more slowly than the arm."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import numpy as np
+
+from ..faults import Fault
+from ..kinematics import Array
+from .simulation import Channel
+
+RATE = 125.0
+"""Questions per second."""
+
+
+class Sensors:
+    """Asks in a thread what gripper and cameras say.
+
+    Args:
+        perception: HOST:PORT of what tells the measured fields, see docs/deploy.md; empty: nothing does.
+        gripper: gets an opening for the gripper, or None to let it be, and returns the one that it has; 0 closed, 1
+            open. It raises OSError, ValueError or IndexError where the gripper does not answer. None: no gripper.
+    """
+
+    def __init__(self, perception: str, gripper: Callable[[float | None], float] | None) -> None:
+        self.opening, self.measured = 0.0, dict[str, Array]()
+        self.wanted: float | None = None
+        """Opening that the gripper shall have."""
+        self._gripper = gripper
+        self._failed: Fault | None = None
+        self._ended = threading.Event()
+        self._perception = Channel(perception) if perception else None
+        self._thread = threading.Thread(target=self._ask, daemon=True)
+        self._thread.start()
+
+    def _ask(self) -> None:
+        told: float | None = None
+        try:
+            while not self._ended.wait(1 / RATE):
+                if self._gripper is not None:
+                    wanted = self.wanted
+                    self.opening = self._gripper(wanted if wanted != told else None)
+                    told = wanted
+                if self._perception is not None:
+                    answer = self._perception.ask(do="measured")["measured"]
+                    self.measured = {name: np.array(values) for name, values in answer.items()}
+        except (OSError, ValueError, IndexError):
+            self._failed = Fault("connection lost", "the gripper does not answer")
+        except Fault as fault:
+            self._failed = fault
+
+    def check(self) -> None:
+        """Raise Fault if gripper or cameras have failed."""
+        if self._failed is not None:
+            raise self._failed
+
+    def begin(self, episode: int) -> list[float] | None:
+        """Begin an episode; its goal, if the cameras know one."""
+        goal: list[float] | None = None
+        if self._perception is not None:
+            goal = self._perception.ask(do="begin", episode=episode).get("goal")
+        return goal
+
+    def outcome(self) -> bool | None:
+        """Whether the episode ends in success, if the cameras know."""
+        return None if self._perception is None else self._perception.ask(do="outcome").get("success")
+
+    def close(self) -> None:
+        """Ask no more."""
+        self._ended.set()
+        self._thread.join(1.0)
+        if self._perception is not None:
+            self._perception.close()
