@@ -99,7 +99,7 @@ def _instance(part: Part) -> Any:
     return load(part.kind, part.name)(part.settings)
 
 
-MOST_WORLDS = 8
+MOST_WORLDS = 32
 """Largest number of combinations of values. Each takes a world, which is 29 MB with PyBullet and 1.4 MB with MuJoCo."""
 
 
