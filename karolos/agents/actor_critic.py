@@ -217,7 +217,10 @@ class ActorCritic(TorchAgent):
         return y.clamp_(*self._bounds)
 
     def critic_step(self, batch: TensorBatch, targets: Tensor) -> Metrics:
-        """One gradient step of the critics towards the targets (n, k). Returns priorities and metrics."""
+        """One gradient step of the critics towards the targets (n, k). Returns metrics.
+
+        Under `priorities` they have the error |Q - y| of each transition, (n,), the largest of the critics.
+        """
         outputs, tapes = self.critic.forward(torch.cat((batch.critic_input, batch.action), 1))
         loss, gradient = self.critic_kind.loss(outputs, targets, batch.weight)
         self.critic.backward(gradient, tapes)

@@ -96,7 +96,12 @@ class Buffer(ABC, Generic[Experience]):
         return {}
 
     def update_priorities(self, slot: NDArray[np.int64], priorities: FloatArray) -> None:
-        """Set priorities from the errors (n,) of a batch; `slot` is `Batch.slot`. Does nothing for uniform sampling."""
+        """Set the priorities of the transitions of a batch. Does nothing for uniform sampling.
+
+        Args:
+            slot: `Batch.slot`. Transitions that were overwritten meanwhile are left out.
+            priorities: |error| of each transition under the goal that it had in the batch, (n,).
+        """
 
     @abstractmethod
     def __len__(self) -> int:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from math import hypot, isfinite
@@ -28,6 +29,8 @@ FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orie
 STAGE = "task.start_"
 """What the names of parameters begin with that are probabilities of stages to begin in."""
 FORCE_COLOUR = (0.84, 0.1, 0.5, 1.0)
+LONGEST_AGE = 0.15
+"""s; the largest latency and jitter of a robot, together."""
 LEAST_SHOWN, LONGEST_SHOWN, LENGTH_OF_FORCE = 1.0, 20.0, 0.25
 """Forces in N from which on a picture has an arrow and from which on it is no longer, and this length as a fraction of
 the camera's distance."""
@@ -136,6 +139,9 @@ class RobotTask(Environment):
         self._world: World | None = None
         self._steps = task.max_steps  # no episode is running
         self._last: Step | None = None
+        self._latency = self._jitter = 0.0
+        self._before: deque[list[float]] = deque(maxlen=round(LONGEST_AGE * self.rate) + 2)
+        """What was observed in the last control steps, the newest first, where observations are late."""
         self._reached: int | None = None
         """Step since which the goal is reached; None where it is not."""
 
@@ -196,9 +202,12 @@ class RobotTask(Environment):
             part, _, parameter = name.partition(".")
             if part == "robot":
                 self.robot.apply(parameter, value)
+                self._latency = value if parameter == "latency" else self._latency
+                self._jitter = value if parameter == "jitter" else self._jitter
             else:
                 self.task.apply(world, parameter, value)
-        generator = np.random.Generator(np.random.PCG64(seed))
+        self._generator = generator = np.random.Generator(np.random.PCG64(seed))
+        self._before.clear()
         self.robot.reset(generator)
         world.forget_contacts()
         self.task.reset(generator)
@@ -265,6 +274,8 @@ class RobotTask(Environment):
         values = self.robot.observe() + self.task.observe()
         if not isfinite(sum(values)) or self.task.lost():
             return None
+        if self._latency or self._jitter:
+            values = self._late(values)
         observed = np.array(values, np.float32)
         if self._columns is not None:
             observed = observed[self._columns]
@@ -272,6 +283,15 @@ class RobotTask(Environment):
             return observed
         hidden = np.array(self.task.observe_for_critics(), np.float32)[self._critic_columns]
         return np.concatenate((observed, hidden)) if np.isfinite(hidden).all() else None
+
+    def _late(self, values: list[float]) -> list[float]:
+        """What was observed as long ago as this episode's latency says; between control steps on the line between."""
+        before = self._before
+        before.appendleft(values)
+        age = self._latency + (float(self._generator.uniform(0.0, self._jitter)) if self._jitter else 0.0)
+        whole, share = divmod(age * self.rate, 1.0)
+        newer, older = (before[min(int(whole) + place, len(before) - 1)] for place in (0, 1))
+        return [new + share * (old - new) for new, old in zip(newer, older, strict=True)]
 
     def _diverged(self) -> Step:
         """End the episode with the last finite state. The next reset builds a new world."""

@@ -91,7 +91,7 @@ class PendingTests:
         """Play tests here until no more wait than may wait during training."""
         while not self._stop.requested:
             most = MAX_WAITING if self._process is not None and self._any_finished else 0
-            if self._waiting() <= most:
+            if sum(not self._is_over(test) for test in self.pending) <= most:
                 break
             self._play_here()
         self.advance()
@@ -109,48 +109,6 @@ class PendingTests:
             self._any_finished = True
             test = self.pending.pop(0)
             yield test, Evaluation.joined([self._results.pop(part) for part in test.parts])
-
-    def advance(self) -> None:
-        """Receive what the second process has played, and give it the next part. Does not wait."""
-        if self._process is None or (self._there is not None and not self._there[1].done()):
-            return
-        try:
-            if self._there is not None:
-                part, future = self._there
-                result, failures = future.result()
-                for failure in failures:
-                    self._writer.warn_of_failure(failure)
-                self._record(part, result)
-                self._there = None
-            if (free := next(self._parts(taken=False), None)) is not None:
-                self._there = free, self._process.submit(free)
-        except Exception as error:  # whatever it is, it must not cost the run
-            self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
-            self._processes_left -= 1
-            self._close_process()
-
-    def close(self) -> None:
-        self._close_process()
-        self._evaluator.close()
-
-    def _close_process(self) -> None:
-        if self._process is not None:
-            self._process.close(kill=self._there is not None)
-            self._process = None
-        self._there = None
-
-    def _is_over(self, test: DueEvaluation) -> bool:
-        return all(part in self._results for part in test.parts)
-
-    def _waiting(self) -> int:
-        """Pending tests that are not over."""
-        return sum(not self._is_over(test) for test in self.pending)
-
-    def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
-        """The parts without a result, in order; `taken`: also those that a process plays."""
-        playing = () if taken else (self._here, self._there and self._there[0])
-        every = (part for test in self.pending for part in test.parts)
-        return (part for part in every if part not in self._results and part not in playing)
 
     def _play_here(self) -> None:
         """Play the next part in this process. Breaks off at a stop, and when the second process was faster."""
@@ -175,6 +133,35 @@ class PendingTests:
             self._spent, self._played = spent + perf_counter() - started, played + len(part.seeds)
         self._here = None
 
+    def _is_process_worthwhile(self) -> bool:
+        """Whether the tests played here say that a second process would spare more time than its start takes."""
+        if self._process is not None or not self._processes_left or self._spent < MEASURED_SECONDS:
+            return False
+        testing, steps = self._spec.testing, self._spec.training.steps - self._training.steps
+        episodes = sum(len(part.seeds) for part in self._parts())
+        episodes += math.ceil(steps / testing.interval) * testing.episodes
+        episodes += testing.final_count if self.activity == "testing" else 0
+        return self._spent / max(self._played, 1) * episodes >= WORTHWHILE_SECONDS
+
+    def advance(self) -> None:
+        """Receive what the second process has played, and give it the next part. Does not wait."""
+        if self._process is None or (self._there is not None and not self._there[1].done()):
+            return
+        try:
+            if self._there is not None:
+                part, future = self._there
+                result, failures = future.result()
+                for failure in failures:
+                    self._writer.warn_of_failure(failure)
+                self._record(part, result)
+                self._there = None
+            if (free := next(self._parts(taken=False), None)) is not None:
+                self._there = free, self._process.submit(free)
+        except Exception as error:  # whatever it is, it must not cost the run
+            self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
+            self._processes_left -= 1
+            self._close_process()
+
     def _record(self, part: DueEvaluation, result: Evaluation) -> None:
         """Keep the first result of a part."""
         if part in self._parts():
@@ -186,12 +173,21 @@ class PendingTests:
         done = playing + sum(result.episodes for result in self._results.values())
         self._writer.announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
 
-    def _is_process_worthwhile(self) -> bool:
-        """Whether the tests played here say that a second process would spare more time than its start takes."""
-        if self._process is not None or not self._processes_left or self._spent < MEASURED_SECONDS:
-            return False
-        testing, steps = self._spec.testing, self._spec.training.steps - self._training.steps
-        episodes = sum(len(part.seeds) for part in self._parts())
-        episodes += math.ceil(steps / testing.interval) * testing.episodes
-        episodes += testing.final_count if self.activity == "testing" else 0
-        return self._spent / max(self._played, 1) * episodes >= WORTHWHILE_SECONDS
+    def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
+        """The parts without a result, in order; `taken`: also those that a process plays."""
+        playing = () if taken else (self._here, self._there and self._there[0])
+        every = (part for test in self.pending for part in test.parts)
+        return (part for part in every if part not in self._results and part not in playing)
+
+    def _is_over(self, test: DueEvaluation) -> bool:
+        return all(part in self._results for part in test.parts)
+
+    def close(self) -> None:
+        self._close_process()
+        self._evaluator.close()
+
+    def _close_process(self) -> None:
+        if self._process is not None:
+            self._process.close(kill=self._there is not None)
+            self._process = None
+        self._there = None

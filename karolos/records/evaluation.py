@@ -2,7 +2,7 @@
 
 An evaluation is one JSON object in one line, whatever was played: tests.jsonl holds the tests during training,
 final.jsonl the final test of `last` and `best`, transfers.jsonl the tests under changed settings. The index has the
-numbers of those in tests.jsonl.
+numbers of tests.jsonl in its table of tests, and those of the final test in the run's row.
 """
 
 from __future__ import annotations

@@ -54,11 +54,11 @@ LOCK_SECONDS = 0.5
 """A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
 ROBOT = "robot"
+"""Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 STAGE = "task.start_"
 """What the names of parameters begin with that say whether a training episode began in a stage."""
 STAGE_EPISODES, EPISODE_BYTES = 500, 1000
 """Training episodes that the success by stage is of, and the largest usual length of a line of one."""
-"""Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")

@@ -56,6 +56,11 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "observation_noise": RandomizedParameter(
         "1", 0.0, 0.0, 0.2, "standard deviation of the noise on what is observed of arm and object, in SI units"
     ),
+    "calibration_error": RandomizedParameter(
+        "m", 0.0, 0.0, 0.02, "largest error, along each axis, of where cameras see things; constant in an episode"
+    ),
+    "latency": RandomizedParameter("s", 0.0, 0.0, 0.1, "age of what is observed"),
+    "jitter": RandomizedParameter("s", 0.0, 0.0, 0.05, "by which that age varies: each time up to so much more"),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
 
@@ -289,7 +294,7 @@ class Arm:
     def apply(self, name: str, value: float) -> None:
         if name in self._apply:
             self._apply[name](value)
-        else:  # observation_noise, action_delay, gripper_delay, of the spring
+        else:  # of observations, action_delay, gripper_delay, of the spring
             self._values[name] = value
 
     def _set_joint_friction(self, fraction: float) -> None:
@@ -320,6 +325,7 @@ class Arm:
             rest[-1] = 2 * command - 1
         self._delayed = deque(rest for _ in range(round(self._values["action_delay"])))
         self._told.clear()
+        self._seen_off: Sequence[float] = ()
         if self._guard is not None:
             self._guard.reset()
         self._read()
@@ -471,6 +477,14 @@ class Arm:
             return list(self.wrench)
         noise = self._generator.normal(0.0, [deviation] * 3 + [TORQUE_ARM * deviation] * 3).tolist()
         return [value + error for value, error in zip(self.wrench, noise, strict=True)]
+
+    @property
+    def seen_off(self) -> Sequence[float]:
+        """Error in m, in this episode, of where cameras see things (3,)."""
+        if not self._seen_off:  # drawn after the reset, which is the same with and without it
+            most = self._values["calibration_error"]
+            self._seen_off = self._generator.uniform(-most, most, 3).tolist() if most else (0.0, 0.0, 0.0)
+        return self._seen_off
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
         deviation = self._values["observation_noise"]

@@ -72,7 +72,7 @@ def validate(tree: Node, plugins: Plugins) -> tuple[Spec | None, list[Invalid]]:
     for path in _parts(tree):
         *above, key = path
         holder, place = (plain[above[0]] if above else plain), ".".join(path)
-        given, holder[key] = holder[key], place  # `OfKind` takes the part from the context
+        given, holder[key] = holder[key], place  # `OfKind` finds the validated part by its place
         if path in plugins:
             try:
                 parts[place] = Part.of(_kind(path), given.pop("name"), given)

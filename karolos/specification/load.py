@@ -1,4 +1,7 @@
-"""The way of a spec: read, merge, bind plugins, validate, explain. All problems are reported at once."""
+"""The way of a spec: read, merge, bind plugins, validate, explain. All problems are reported at once.
+
+Only the settings of a part whose plugin is unknown are not checked.
+"""
 
 from __future__ import annotations
 

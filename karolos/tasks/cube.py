@@ -15,7 +15,7 @@ from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Ability, Box, Cup, Gripper, Material, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Shape
-from .settings import ForcePenalty
+from .settings import ForcePenalty, seen
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
@@ -130,7 +130,8 @@ class Cube:
 
         The offset from the tool is that of the observed positions, so it adds no information.
         """
-        values = robot.with_noise([*self.position, *columns(self.orientation), *self.velocity, *self.angular_velocity])
+        place, turned = seen(robot, self.position), columns(self.orientation)
+        values = robot.with_noise([*place, *turned, *self.velocity, *self.angular_velocity])
         return values + [own - tool for own, tool in zip(values, robot.observed_tool_position, strict=False)]
 
     @property

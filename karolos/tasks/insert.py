@@ -15,7 +15,7 @@ from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .cube import LOST_DISTANCE, aligned, check_pads
-from .settings import ForcePenalty, drawn_stage, start
+from .settings import ForcePenalty, drawn_stage, seen, start
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
 PEG_LENGTH = 0.06
@@ -304,7 +304,8 @@ class Insert(Task):
         return rotation_vector(multiply(self.target, inverse(self.rotation)))
 
     def observe(self) -> list[float]:
-        values = self._robot.with_noise([*self.tip_from_hole, *self.turn, *self.tip_velocity, *self.spin])
+        place = seen(self._robot, self.tip_from_hole)
+        values = self._robot.with_noise([*place, *self.turn, *self.tip_velocity, *self.spin])
         x, y, z = values[:3]
         near = [tanh(error / scale) for scale in SCALES for error in (x, y, z, z + DEPTH)]
         near += [tanh(error / TURN_SCALE) for error in values[3:6]]

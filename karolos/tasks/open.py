@@ -18,7 +18,7 @@ from ..simulation.parts import Link, mechanism
 from ..simulation.shapes import Cuboid, Shape, inertia_of
 from .cube import braking, drift
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
-from .settings import ForcePenalty, drawn_stage, start
+from .settings import ForcePenalty, drawn_stage, seen, start
 
 PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
 TRAVEL, ANGLE = 0.15, pi / 2
@@ -238,7 +238,7 @@ class Open(Task):
         self.position, self.speed = self.piece.joint("front")
 
     def observe(self) -> list[float]:
-        values = [*self.handle_at(self.position), *self.direction_at(self.position)]
+        values = [*seen(self._robot, self.handle_at(self.position)), *self.direction_at(self.position)]
         values = self._robot.with_noise([*values, self.lever * self.speed, self.position])
         return values + [own - tool for own, tool in zip(values, self._robot.observed_tool_position, strict=False)]
 

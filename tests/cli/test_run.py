@@ -37,20 +37,16 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-def karolos(*arguments: str, **options) -> subprocess.CompletedProcess[str]:
-    return subprocess.run([*KAROLOS, *arguments], capture_output=True, text=True, timeout=120, check=False, **options)
-
-
 def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home):
-    result = karolos("run", "toy.yaml", "seeds=[0,1]", "--json")
-    assert result.returncode == 0, result.stderr
-    rows = [json.loads(line) for line in result.stdout.splitlines()]
+    code, out, err = call(app, "run", "toy.yaml", "seeds=[0,1]", "--json")
+    assert code == 0, err
+    rows = [json.loads(line) for line in out.splitlines()]
     assert [row["seed"] for row in rows] == [0, 1]
     for row in rows:
         assert list(row)[:10] == FIXED
         assert (row["state"], row["steps"], row["name"]) == ("finished", 200, "toy")
         assert (home / "runs" / row["run"] / "spec.yaml").read_text() == SPEC
-        assert f"{row['run']} at 100 steps" in result.stderr
+        assert f"{row['run']} at 100 steps" in err
 
 
 def test_quiet_says_nothing_where_all_is_well(home, capfd):

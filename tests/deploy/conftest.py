@@ -1,4 +1,4 @@
-"""A bundle of a policy that ships, made once for all tests of a process."""
+"""A bundle of a policy that ships."""
 
 from __future__ import annotations
 
@@ -6,18 +6,13 @@ import shutil
 from pathlib import Path
 
 import pytest
-
-from karolos.export.bundle import export_bundle
-from karolos.records import RunFolder
-from karolos.records.shipped import FOLDER
+from support.bundles import bundle_of
 
 
-@pytest.fixture(scope="session")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def whole() -> Path:
     """A bundle that nobody changes."""
-    out = tmp_path_factory.mktemp("bundles") / "ur5_pick"
-    export_bundle(RunFolder.open(FOLDER / "ur5_pick"), out)
-    return out
+    return bundle_of("ur5_pick")
 
 
 @pytest.fixture

@@ -5,13 +5,12 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
-from functools import cache
 from pathlib import Path
-from tempfile import mkdtemp
 
 import numpy as np
 import pytest
 import yaml
+from support.bundles import bundle_of
 from support.exported_policies import trained
 
 from karolos.errors import UsageError
@@ -22,16 +21,9 @@ from karolos.records.shipped import FOLDER
 pytestmark = pytest.mark.xdist_group("bundle")
 
 
-@cache
-def bundle(name: str) -> Path:
-    """The bundle of a policy that ships, made once for all tests of a process."""
-    out = Path(mkdtemp(prefix="karolos-bundle-")) / name
-    export_bundle(RunFolder.open(FOLDER / name), out)
-    return out
-
-
 def test_the_yaml_has_the_keys_that_leapp_s_readers_need() -> None:
-    insert = bundle("ur5_insert")
+    insert = bundle_of("ur5_insert")
+    assert (insert / "film.mp4").stat().st_size > 1000
     told = yaml.safe_load((insert / "policy.yaml").read_text())
     policy = told["models"]["policy"]
     assert [one["name"] for one in policy["inputs"]] == told["pipeline"]["inputs"]["policy"]
@@ -45,7 +37,7 @@ def test_the_yaml_has_the_keys_that_leapp_s_readers_need() -> None:
 @pytest.mark.parametrize("name", ["ur5_insert", "ur5_pick"])
 def test_from_the_page_alone_a_reading_becomes_the_observation_and_the_recorded_action(name: str) -> None:
     """Reads the tables of the page as a person would, and uses neither karolos nor karolos-deploy."""
-    insert = bundle(name)
+    insert = bundle_of(name)
     page = (insert / "README.md").read_text()
     rows = [line.strip("| ").split(" | ") for line in page.splitlines() if line.startswith("| ")]
     base = [float(x) for x in re.search(r"base\s+stands at ([^i]+) in the world", page)[1].split()]

@@ -1,5 +1,7 @@
 """Pick-and-place, push and stack: placed honestly, what counts as success, starts by stages."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 from support.rig import ENGINES, ROBOTS, expert_episode, made, values
@@ -206,3 +208,62 @@ def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(
         np.testing.assert_allclose(tool, seen[field("tool_position")], atol=1e-6)
         assert np.abs(tool - environment.robot.tool_position).max() > 1e-4
     assert np.std(errors) == pytest.approx(noise, rel=0.25)
+
+
+def episode(task: str, **parameters: float) -> tuple[Any, list[Any]]:
+    """An episode of the same actions under these parameters of the robot."""
+    environment = made(task, draws={f"robot.{name}": values(value) for name, value in parameters.items()})
+    generator, steps = np.random.default_rng(5), [environment.reset(3)]
+    size = environment.signature.action.size
+    steps += [environment.step(generator.uniform(-1, 1, size).astype(np.float32)) for _ in range(12)]
+    return environment, steps
+
+
+@pytest.mark.parametrize("task", ["pick_place", "push", "insert", "open"])
+def test_late_observations_are_those_of_before_and_change_nothing_else(task: str) -> None:
+    environment, plain = episode(task)
+    period = 1 / environment.rate
+    late, between = (episode(task, latency=share * period)[1] for share in (1, 0.25))
+    for before, now, whole, quarter in zip(plain, plain[1:], late[1:], between[1:], strict=False):
+        np.testing.assert_allclose(whole.observation, before.observation, atol=1e-6)
+        mixed = 0.75 * now.observation + 0.25 * before.observation
+        np.testing.assert_allclose(quarter.observation, mixed, atol=1e-6)
+        np.testing.assert_array_equal(whole.achieved_goal, now.achieved_goal)
+    np.testing.assert_array_equal(late[0].observation, plain[0].observation)
+
+
+def test_jitter_makes_observations_older_by_up_to_as_much() -> None:
+    environment, plain = episode("push")
+    _, varied = episode("push", jitter=0.5 / environment.rate)
+    shares = []
+    for before, now, seen in zip(plain, plain[1:], varied[1:], strict=False):
+        way = before.observation - now.observation
+        shares.append(float((seen.observation - now.observation) @ way / (way @ way)))
+    assert -1e-4 < min(shares) < 0.2
+    assert 0.3 < max(shares) < 0.5001
+
+
+@pytest.mark.parametrize(
+    ("task", "shifted"),
+    [
+        ("pick_place", ["object_position", "object_from_tool"]),
+        ("stack", ["cube_1_position", "cube_1_from_tool", "cube_2_position", "cube_2_from_tool"]),
+        ("insert", ["tip_from_hole"]),
+        ("open", ["handle_position", "handle_from_tool"]),
+    ],
+)
+def test_a_calibration_error_is_where_cameras_see_things_all_along_an_episode(task: str, shifted: list[str]) -> None:
+    environment, plain = episode(task)
+    off = [
+        (seen.observation - true.observation)
+        for seen, true in zip(episode(task, calibration_error=0.01)[1], plain, strict=True)
+    ]
+    names, field = environment.signature.observation.names, environment.signature.observation.slice
+    first = off[0][field(shifted[0])]
+    assert 0.0001 < np.abs(first).max() <= 0.01
+    for name in names:
+        if name == "near_errors":  # of tip_from_hole
+            continue
+        for one in off:
+            wanted = first if name in shifted else np.zeros_like(one[field(name)])
+            np.testing.assert_allclose(one[field(name)], wanted, atol=1e-6, err_msg=name)

@@ -1,0 +1,1 @@
+"""A task without an expert: a cube goes into a bin."""

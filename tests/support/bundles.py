@@ -1,0 +1,22 @@
+"""Bundles of policies that ship."""
+
+from functools import cache
+from pathlib import Path
+from tempfile import mkdtemp
+
+import pytest
+
+from karolos.export import bundle
+from karolos.records import RunFolder
+from karolos.records.shipped import FOLDER
+from karolos.report.video import write_film
+
+
+@cache
+def bundle_of(name: str) -> Path:
+    """The bundle of a policy that ships, with a small film, made once for all tests of a process. Nobody changes it."""
+    out = Path(mkdtemp(prefix="karolos-bundle-")) / name
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bundle, "write_film", lambda *what: write_film(*what[:-1], (64, 48)))
+        bundle.export_bundle(RunFolder.open(FOLDER / name), out)
+    return out
