@@ -7,6 +7,7 @@ import signal
 from pathlib import Path
 
 import pytest
+from support.fake_launcher import FakeLauncher
 from support.toy_runs import TOY
 
 from karolos.errors import RunError
@@ -74,7 +75,10 @@ class Outage:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(jobs: int, tmp_path: Path) -> None:
+def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(
+    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.experiment.make_launcher", lambda *_: FakeLauncher())  # for two jobs
     outage = Outage(tmp_path)
     outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=jobs, listener=outage)
     assert outcome.exit_code == 0
