@@ -55,7 +55,8 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
     assert own.model.fingers is not None
     assert own.model.fingers.links == ("pad1", "pad2")
     assert abs(own.configuration.tool.y[0]) < 1e-3
-    other = robot_of(file=str(arm), gripper="vacuum")
+    known = {"home": own.model.home, "workspace": [list(own.workspace.low), list(own.workspace.high)]}
+    other = robot_of(file=str(arm), gripper="vacuum", **known)
     assert other.model.cup is not None
 
 
