@@ -158,6 +158,8 @@ class UR(Driver):
         except RuntimeError as error:  # the client tried to connect again
             raise Fault("connection lost", str(error).splitlines()[0]) from None
         if not done:
+            if not self._control.isConnected():
+                raise Fault("connection lost", "the controller ended it")
             self.read()  # says why, if the robot knows
             raise Fault("refused", "the controller took no set point")
 
