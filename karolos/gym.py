@@ -26,7 +26,8 @@ _ACRONYMS = {"iiwa": "IIWA"}
 def environment_ids() -> dict[str, tuple[str, str]]:
     """Robot and task behind each newest id, e.g. "karolos/PandaReach-v1": ("panda", "reach"). Imports no plugin."""
     robots, tasks = (_class_names(kind) for kind in ("robots", "tasks"))
-    robots.pop("urdf", None)  # it needs a file: `karolos.make` takes a spec that names one
+    for needs_more in ("urdf", "random_arm"):  # a file, a number: `karolos.make` takes a spec that names one
+        robots.pop(needs_more, None)
     return {
         f"karolos/{robot_class}{task_class}-v{2 if task in STEPS else 1}": (robot, task)
         for robot, robot_class in robots.items()

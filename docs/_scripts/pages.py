@@ -158,7 +158,7 @@ def parts(kind: str) -> str:
 
 def _facts(kind: str, name: str) -> str:
     """Tables of `karolos inspect`: joints and gripper of a robot, goals of a task, parameters for randomization."""
-    if kind not in ("robots", "tasks") or name == "urdf":  # which has no facts without a file
+    if kind not in ("robots", "tasks") or name in ("urdf", "random_arm"):  # which have none without a file or a number
         return ""
     found = inspect_robot(name, size=None) if kind == "robots" else inspect_task(name, size=None)
     text = ""

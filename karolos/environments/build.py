@@ -93,7 +93,7 @@ def _join(recipe: Recipe) -> RobotTask:
     return joined
 
 
-MOST_WORLDS = 8
+MOST_WORLDS = 32
 """Largest number of combinations of values. Each takes a world, which is 29 MB with PyBullet and 1.4 MB with MuJoCo."""
 
 

@@ -69,14 +69,8 @@ class ZeroShotTest:
 
     def play(self, on_round: Callable[[int], object]) -> None:
         """Play it; nothing is written if `on_round` raises an error. Raises as `zero_shot_test`."""
-        zero_shot_test(
-            RunFolder.open(self.run),
-            self.overrides,
-            checkpoint=self.checkpoint,
-            episodes=self.episodes,
-            seed=self.seed,
-            on_round=on_round,
-        )
+        given = {name: value for name, value in vars(self).items() if name != "run"}
+        zero_shot_test(RunFolder.open(self.run), **given, on_round=on_round)
 
 
 def zero_shot_test(

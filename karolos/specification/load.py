@@ -111,13 +111,13 @@ def _at_causes(problems: list[Problem], written: Node, changes: Sequence[Node], 
     own = {mark for change in changes for node in change.walk() for mark in (node.at, node.key)}
     for place, change in enumerate(changes):
         if all(problem.where in own for problem in problems):
-            break
+            break  # nothing is left to explain
+        # A problem that is gone without this change is caused by it.
         try:
             _, _, without = _resolve(written, [*changes[:place], *changes[place + 1 :]], stem)
         except PluginError:  # the change replaces a broken plugin
             continue
         remaining = {problem.setting for problem in without}
-        # a problem that is gone without the change is caused by it
         problems = [
             one if one.where in own or one.setting in remaining else replace(one, where=change.at) for one in problems
         ]

@@ -12,6 +12,7 @@ import typer
 from gymnasium.envs import registration
 from karolos_cli.main import app
 from support.commands import call
+from support.fake_launcher import FakeLauncher
 from support.plugin_packages import install
 
 from karolos import registry
@@ -92,6 +93,7 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """A folder as a reader of the pages has it; plugins and environments that a page adds are forgotten at the end."""
     monkeypatch.setattr(registration, "registry", dict(registration.registry))
+    monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: FakeLauncher())  # tests/plans starts processes
     for name in ("specs", "examples"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)

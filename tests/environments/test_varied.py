@@ -109,8 +109,8 @@ def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
         ),
         ({"task.threshold": values(0.03, 0.05)}, "another rule of reward and success"),
         (
-            {"task.object_size": values(*np.linspace(0.03, 0.05, 9).tolist())},
-            "these values make 9 worlds; at most 8",
+            {"task.object_size": values(*np.linspace(0.03, 0.05, 33).tolist())},
+            "these values make 33 worlds; at most 32",
         ),
         ({"task.object_colour": values(1)}, "no parameter is called 'task.object_colour'"),
     ],

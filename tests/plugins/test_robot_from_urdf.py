@@ -14,8 +14,9 @@ from support.fourth_robot import TOOL, WIDTH, exported_arm
 
 from karolos.errors import PluginError
 from karolos.plugins.starter import write_starter
+from karolos.robots import poses
 from karolos.robots.arm import Arm, ArmSettings
-from karolos.robots.proposal import Known, propose, with_meshes
+from karolos.robots.proposal import Known, Proposal, propose, with_meshes
 
 
 def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path: Path) -> None:
@@ -84,12 +85,14 @@ def test_names_become_literals_in_the_module(tmp_path: Path, monkeypatch: pytest
     for old, new in zip(("joint1", "slide1", "pad1", "link6", "elbow"), HOSTILE, strict=True):
         text = text.replace(f'"{old}"', quoteattr(new))
     (hostile := path.with_name('"""; 1 if.urdf')).write_text(text)
+    found: list[Proposal] = []
+    monkeypatch.setattr("karolos.robots.proposal.propose", lambda *what: found.append(propose(*what)) or found[-1])
     _, notes = write_starter("robot", "mine", tmp_path / "mine", urdf=hostile)
     monkeypatch.syspath_prepend(tmp_path / "mine" / "src")
     module = importlib.import_module("karolos_mine.mine")
     assert notes == module.ASSUMED
     assert HOSTILE[0] in module.ASSUMED[1]
-    assert module.Mine.model == replace(propose(hostile).model, urdf=module.Mine.model.urdf)
+    assert module.Mine.model == replace(found[0].model, urdf=module.Mine.model.urdf)
     assert module.Mine.model.fingers.joints[0] == HOSTILE[1]
     module.Mine(module.Mine.Settings())  # the model fits the URDF in the package
 
@@ -125,7 +128,8 @@ def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
         propose(path, known=Known("tool7"))
 
 
-def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path) -> None:
+def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses, "HEIGHTS", (1.0,))  # nowhere is room enough, so that all others are looked at
     path = exported_arm(tmp_path).model.urdf
     upright = '<child link="base"/><origin xyz="0 0 0"/>'
     text = path.read_text()

@@ -1,7 +1,7 @@
-"""The robots that need no file."""
+"""The robots that need no file and no number."""
 
 from __future__ import annotations
 
 from karolos.registry import names
 
-ROBOTS = [name for name in names("robots") if name != "urdf"]
+ROBOTS = [name for name in names("robots") if name not in ("urdf", "random_arm")]

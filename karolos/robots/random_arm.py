@@ -1,0 +1,205 @@
+"""Arms that nobody built: families of real ones, with lengths, limits, speeds, masses and torques drawn by a number."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+from xml.etree import ElementTree
+from xml.etree.ElementTree import Element, SubElement
+
+import numpy as np
+from pydantic import Field as Setting
+
+from ..core import Array
+from ..core.seeding import Generator, SeedTree
+from ..errors import MachineError, PluginError
+from ..files import fingerprint, write_whole, writing
+from ..simulation.geometry import UPRIGHT, Quaternion, Vector, quaternion_of
+from ..simulation.parts import link_element, place_element
+from ..simulation.shapes import Capsule
+from ..system import user_cache
+from .arm import Arm
+from .from_file import FromFile, proposal_of
+from .model import ArmModel
+from .repair import Repair
+from .settings import ArmSettings
+
+SCALE, OTHERWISE = (0.6, 1.5), (0.8, 1.2)
+"""Size of an arm by that of a UR5, and how its lengths differ from those of its family at this size."""
+SPEED, LIMIT = (1.6, 4.0), (2.0, 3.1)
+"""Speed of a joint in rad/s, and how far it turns to each side in rad."""
+DENSITY, STRENGTH = (12.0, 45.0), (0.8, 1.8)
+"""Mass of an arm by the square of its length in kg/m2, and torques by three times what holds it stretched out."""
+GRIPPERS = "robotiq_2f85", "franka_hand"
+"""What arms carry if the spec does not say."""
+ROOM, SLOWEST = (0.12, 0.2, 0.15), 0.01
+"""Least edges of a workspace in m, and least way of the tool in a control step in m, of an arm that is taken."""
+ATTEMPTS = 40
+"""How many arms are drawn until one can work."""
+BULK = 0.07
+"""Radius of a link by the length of the arm."""
+X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
+
+
+class Piece(NamedTuple):
+    """A joint of an arm of a UR5's size, and how its link goes on, with all joints at 0."""
+
+    axis: tuple[int, int, int]
+    way: Vector
+    """From this joint to the next, or to the flange, in m, along the axes of the base."""
+
+
+FAMILIES: dict[str, tuple[tuple[int, int, int], tuple[Piece, ...]]] = {
+    "offset wrist": (  # as UR, Doosan, xArm 6: three parallel axes
+        Y,
+        (
+            Piece(Z, (0.0, 0.13, 0.0)),
+            Piece(Y, (0.0, -0.12, 0.42)),
+            Piece(Y, (0.0, 0.0, 0.39)),
+            Piece(Y, (0.0, 0.1, 0.0)),
+            Piece(Z, (0.0, 0.0, 0.095)),
+            Piece(Y, (0.0, 0.08, 0.0)),
+        ),
+    ),
+    "spherical wrist": (  # as ABB, KUKA KR, Puma: three axes that meet
+        X,
+        (
+            Piece(Z, (0.1, 0.0, 0.1)),
+            Piece(Y, (0.0, 0.0, 0.4)),
+            Piece(Y, (0.15, 0.0, 0.04)),
+            Piece(X, (0.25, 0.0, 0.0)),
+            Piece(Y, (0.05, 0.0, 0.0)),
+            Piece(X, (0.07, 0.0, 0.0)),
+        ),
+    ),
+    "seven joints": (  # as Panda, iiwa, Gen3: a redundant one
+        Z,
+        (
+            Piece(Z, (0.0, 0.0, 0.15)),
+            Piece(Y, (0.0, 0.0, 0.2)),
+            Piece(Z, (0.06, 0.0, 0.16)),
+            Piece(Y, (-0.06, 0.0, 0.2)),
+            Piece(Z, (0.0, 0.0, 0.18)),
+            Piece(Y, (0.06, 0.0, 0.08)),
+            Piece(Z, (0.0, 0.0, 0.08)),
+        ),
+    ),
+}
+"""The direction in which the flange points with all joints at 0, and the joints from the base on."""
+
+
+class RandomArm(Arm):
+    """An arm drawn from three families, to train policies that know no arm: `arm` says which.
+
+    Training draws it in each episode: `randomization: {robot.arm: {name: choice, values: [0, 1, 2, 3]}}`. Each value is
+    a world in each environment. Home, workspace and accelerations are those that an arm from a file would have.
+    """
+
+    class Settings(ArmSettings):
+        """The settings of every arm, and its number."""
+
+        arm: int = Setting(ge=0, le=1_000_000, description="which arm; each number is another one")
+
+    @classmethod
+    def bare_model(cls, settings: ArmSettings) -> ArmModel:
+        assert isinstance(settings, cls.Settings)
+        return _model(settings.arm, settings.gripper)
+
+
+@lru_cache(maxsize=256)
+def _model(arm: int, gripper: str | None) -> ArmModel:
+    """The first arm of this number that can work: its tool points down and moves fast enough in a large workspace.
+
+    Raises MachineError if there is no folder for caches, PluginError if none of the arms of this number can.
+    """
+    source = hashlib.sha256(str(fingerprint(Path(__file__), follow=False)).encode()).hexdigest()[:12]
+    try:
+        folder = user_cache() / "karolos" / "robots" / "random" / source
+    except RuntimeError:
+        raise MachineError("there is no folder for caches", setting="robot.arm", hint="set XDG_CACHE_HOME") from None
+    for attempt, draws in enumerate(_draws(arm)):
+        gripper = gripper or GRIPPERS[int(draws.integers(len(GRIPPERS)))]
+        path, refused = (folder / f"{arm}-{attempt}-{gripper}.{end}" for end in ("urdf", "refused"))
+        if refused.exists():
+            continue
+        if not path.exists():
+            _write(path, draws)
+        try:
+            model = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper})).model
+        except PluginError:
+            model = None
+        if model is not None and _works(model):
+            return model
+        write_whole(refused, "", durable=False)
+    raise PluginError(f"none of {ATTEMPTS} arms can work", setting="robot.arm", hint="choose another number")
+
+
+def _draws(arm: int) -> Iterator[Generator]:
+    for attempt in range(ATTEMPTS):
+        yield SeedTree(arm).child(f"random arm {attempt}").generator()
+
+
+def _works(model: ArmModel) -> bool:
+    edges = np.subtract(model.workspace.high, model.workspace.low)
+    return bool((edges >= ROOM).all()) and (model.tool_step or SLOWEST) >= SLOWEST
+
+
+def _write(path: Path, draws: Generator) -> None:
+    """Draw an arm and write its URDF."""
+    family = list(FAMILIES)[int(draws.integers(len(FAMILIES)))]
+    facing, pieces = FAMILIES[family]
+    scale = draws.uniform(*SCALE)
+    ways = [scale * draws.uniform(*OTHERWISE) * np.array(piece.way) for piece in pieces]
+    pedestal = scale * draws.uniform(0.08, 0.3)  # of the second joint above the base
+    length = float(sum(map(np.linalg.norm, ways[1:])))
+    robot = Element("robot", name=family.replace(" ", "_"))
+    thick = BULK * length
+    robot.append(_link("base", np.array((0.0, 0.0, pedestal)), thick))
+    before, place = "base", np.array((0.0, 0.0, pedestal))
+    for number, (piece, way) in enumerate(zip(pieces, ways, strict=True), 1):
+        name, radius = f"link_{number}", thick * (1 - 0.6 * number / len(pieces))
+        joint = SubElement(robot, "joint", name=f"joint_{number}", type="revolute")
+        place_element(joint, tuple(place.tolist()), UPRIGHT)
+        SubElement(joint, "parent", link=before)
+        SubElement(joint, "child", link=name)
+        SubElement(joint, "axis", xyz=" ".join(map(str, piece.axis)))
+        most, speed = draws.uniform(*LIMIT), draws.uniform(*SPEED)
+        bounds = {"lower": f"{-most:.4f}", "upper": f"{most:.4f}"}
+        SubElement(joint, "limit", bounds, velocity=f"{speed:.3f}", effort="0")
+        robot.append(_link(name, way, radius))
+        before, place = name, way
+    SubElement(robot, "link", name="flange")
+    end = SubElement(robot, "joint", name="flange", type="fixed")
+    place_element(end, tuple(place.tolist()), _facing(facing))
+    SubElement(end, "parent", link=before)
+    SubElement(end, "child", link="flange")
+    with writing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write_whole(path, ElementTree.tostring(robot, "unicode"), durable=False)
+    repair = Repair(path, float(draws.uniform(*DENSITY)) * length**2)  # masses by volume, torques by what they need
+    assert repair.robot is not None
+    strength = draws.uniform(*STRENGTH)
+    for limit in repair.robot.iter("limit"):
+        limit.set("effort", f"{strength * float(limit.get('effort', '0')):.4g}")
+    repair.write(path)
+
+
+def _link(name: str, way: Array, radius: float) -> Element:
+    """A link along its way, thinner where the way is short."""
+    size = float(np.linalg.norm(way))
+    axis = way / size
+    side = np.eye(3)[np.abs(axis).argmin()]
+    x = np.cross(side, axis) / np.linalg.norm(np.cross(side, axis))
+    turn = quaternion_of(np.column_stack([x, np.cross(axis, x), axis]))
+    a, b, c = (way / 2).tolist()
+    shape = Capsule(radius, max(size - radius, 0.2 * radius), position=(a, b, c), orientation=turn)
+    return link_element(name, [shape], 0.0, None, (0.62, 0.66, 0.72, 1.0))
+
+
+def _facing(axis: tuple[int, int, int]) -> Quaternion:
+    """The rotation of a frame whose z axis points along this one."""
+    columns = {X: (Y, Z, X), Y: (Z, X, Y), Z: (X, Y, Z)}[axis]
+    return quaternion_of(np.array(columns, float).T)
