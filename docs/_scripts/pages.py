@@ -51,14 +51,14 @@ TASKS = {
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 KIND_TEXTS = {
     "robots": "A robot with a task is an environment.",
-    "grippers": "What an arm holds things with: `robot.gripper`.",
+    "grippers": "A gripper holds objects: `robot.gripper`.",
     "tasks": "A task goes with every robot.",
-    "environments": "What the agent acts in. With `robot` and `task` it is `robot_task`.",
-    "agents": "The algorithm.",
-    "buffers": "What the agent learns from.",
-    "distributions": "What domain randomization draws from.",
-    "orchestrators": "How environments share the machine.",
-    "launchers": "Where runs are executed.",
+    "environments": "The agent acts in an environment. With `robot` and `task` it is `robot_task`.",
+    "agents": "An agent is the algorithm.",
+    "buffers": "The agent learns from a buffer.",
+    "distributions": "Domain randomization samples from a distribution.",
+    "orchestrators": "An orchestrator spreads environments over the machine.",
+    "launchers": "A launcher starts runs.",
 }
 
 
@@ -304,7 +304,7 @@ def gallery(folder: Path) -> dict[str, str]:
     found = references.contenders()
     overview = (
         "# Gallery\n\nThree arms with nine of ten tasks. Films show policies that ship with karolos. The numbers are "
-        "success at the end of 1,000 episodes that nothing was chosen on, mean over the seeds of the "
+        "success at the end of 1,000 held-out episodes, mean over the seeds of the "
         "[reference runs](../../results.md).\n\n"
     )
     pages: dict[str, str] = {}
@@ -360,7 +360,7 @@ def _of_spec(name: str, one: Contender | None, folder: Path) -> str:
         drawing.save(folder / f"{name}.svg")
         text += f"![{drawing.title} of {name}]({name}.svg)\n\n{drawing.caption}\n\n"
         text += f"{references._results({name: one}, [name])}\n\n"
-        text += "[How to read the table](../../results.md). The same runs again:\n\n"
+        text += "[How to read the table](../../results.md#each-seed). This command repeats the runs:\n\n"
     text += f"```sh\nkarolos run specs/{name}.yaml seeds=[{seeds}]\n```\n\n"
     for path in _files(ROOT / "specs" / f"{name}.yaml"):
         lines = path.read_text(encoding="utf-8").strip()

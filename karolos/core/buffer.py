@@ -100,7 +100,7 @@ class Buffer(ABC, Generic[Experience]):
 
         Args:
             slot: `Batch.slot`. Transitions that were overwritten meanwhile are left out.
-            priorities: |error| of each transition under the goal that it had in the batch, (n,).
+            priorities: absolute error of each transition under the goal that it had in the batch, (n,).
         """
 
     @abstractmethod
