@@ -34,8 +34,8 @@ PAYLOAD, PAYLOAD_SHARE, PAYLOAD_ARM = 2.0, 1 / 15, 0.2
 """What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
 how far from its last joint in m."""
 MJCF = (".xml", ".mjcf")
-XACRO = "ros.org/wiki/xacro"
-"""In the declaration of its prefix."""
+XACRO = "xmlns:xacro"
+"""Declares its prefix."""
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 
