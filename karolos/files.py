@@ -9,6 +9,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import importlib.metadata
 import json
 import os
 import re
@@ -100,6 +101,20 @@ def find_named(name: str, folder: Path) -> Path | None:
         rest = rest if separator else name
         places = [folder / rest, folder.parent / rest]
     return next((place.resolve() for place in places if os.path.isfile(place)), None)
+
+
+INSTALLED = "installed:"
+"""Begins the name of a file that a package on this machine brings: installed:PACKAGE/the/end/of/its/path.urdf."""
+
+
+def installed_file(name: str) -> Path | None:
+    """The file that `installed:PACKAGE/PATH` names; None if there is none."""
+    package, _, end = name.removeprefix(INSTALLED).partition("/")
+    try:
+        files = importlib.metadata.files(package) or []
+    except (importlib.metadata.PackageNotFoundError, ValueError):
+        return None
+    return next((Path(str(one.locate())).resolve() for one in files if f"/{one.as_posix()}".endswith(f"/{end}")), None)
 
 
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:

@@ -12,7 +12,9 @@ from support.closing import close_all
 from support.fake_plugins import FAKES
 
 from karolos import registry
+from karolos.core import Array
 from karolos.records import provenance
+from karolos.tasks.throw_planner import ThrowPlanner
 
 Install = Callable[..., None]
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch: two that share a busy core wait for each other
@@ -28,6 +30,27 @@ def git_is_asked_once() -> Iterator[None]:
     once = cache(read)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(provenance, "code", lambda folder: (once if folder == here else read)(folder))
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def throws_are_searched_once() -> Iterator[None]:
+    """The furthest throw of an arm with some settings is found once: more than a hundred environments have a throw."""
+    search, found = ThrowPlanner._search_throw, dict[object, tuple[Array, ...]]()
+
+    def once(planner: ThrowPlanner) -> tuple[Array, ...]:
+        settings = getattr(planner._robot, "settings", None)
+        if settings is None:  # a robot of a test
+            return search(planner)
+        numbers = planner._low, planner._high, planner._speed, planner._home
+        known = type(planner._robot), str(settings), planner._height, planner._tool_speed
+        key = *known, *(part.tobytes() for part in numbers)
+        if key not in found:
+            found[key] = search(planner)
+        return tuple(part.copy() for part in found[key])
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(ThrowPlanner, "_search_throw", once)
         yield
 
 

@@ -95,12 +95,6 @@ class Motion:
         there = self.chain.at(self._anchor)  # a reading is late, and what the robot was told is not
         self._to = self._ramp(self._anchor, self._changes(values, self._anchor, there))
 
-    def hold(self, now: float) -> None:
-        """Brake to a standstill within a control step: no further action is coming."""
-        self._begin, self._from, self._to = now, self.velocities.copy(), np.zeros_like(self.velocities)
-        self._anchor = self.positions
-        self._spring_from = self._place, self._rotation
-
     def at(self, now: float, cycle: float) -> SetPoint:
         """The set point for the end of a cycle of `cycle` s that begins at `now`."""
         share = min((now + cycle - self._begin) / self.period, 1.0)

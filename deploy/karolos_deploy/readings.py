@@ -71,7 +71,6 @@ class Observer:
 
     def __init__(self, contract: Mapping[str, Any]) -> None:
         self.fields: list[dict[str, Any]] = contract["observation"]
-        self._share = 0.0
         self._tau: float = contract["wrench"]["filter"]
         self._limit: float = contract["limits"]["force"]
         self.reset()

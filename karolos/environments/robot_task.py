@@ -87,8 +87,9 @@ class RobotTask(Environment):
         robot.prepare(TaskNeeds(task.uses_gripper, period, task.control, task.protective_stop, task.fingers))
         ENGINES[settings.engine].check({**robot.engine_needs, **task.engine_needs})
         task.fit(robot)
+        blind = {"calibration_error"} if not task.observation.size else set()  # there is nothing for cameras to see
         self.declared = {
-            **{f"robot.{name}": parameter for name, parameter in robot.parameters.items()},
+            **{f"robot.{name}": parameter for name, parameter in robot.parameters.items() if name not in blind},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
         }
         """The parameters that randomization may change, by name with the part in front."""

@@ -125,7 +125,7 @@ def page(contract: dict[str, Any], environment: RobotTask, *, film: bool) -> str
     return TEXT.format(
         **{key: run[key] for key in ("name", "id", "checkpoint", "steps", "karolos", "sha256")},
         robot=robot["name"],
-        gripper=robot["gripper"] or "none",
+        gripper=robot["gripper"] or ("of its own" if contract["gripper"] else "none"),
         scope=f"It acts {control['rate']:g} times per second in {control['mode']} control.",
         success=_success(run["test"]) if run["test"] else "not tested",
         rate=control["rate"],

@@ -142,11 +142,6 @@ def check_software(launched: Mapping[str, Any], where: str) -> None:
         )
 
 
-def kind_of_machine() -> str:
-    """Operating system and processor family, on which numbers may depend."""
-    return f"{platform.system()} {platform.machine()}"
-
-
 def code(folder: Path) -> tuple[GitCommit, str] | None:
     """The git work tree that contains `folder`, and how its tracked files differ from the commit, cut off at 1 MB.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
@@ -205,7 +206,7 @@ class RunFolder:
             "sources": provenance.sources(provenance.packages(resolved), unread),
             "unread": unread,
             "files": files,
-            "machine": provenance.kind_of_machine(),
+            "machine": f"{platform.system()} {platform.machine()}",  # on which numbers may depend
             "command": provenance.command_line(),
             "git": git,
         }

@@ -204,11 +204,6 @@ def is_running(folder: Path) -> bool:
     return FileLock(folder / LOCK).is_locked()
 
 
-def sweep_paths(runs: str | Path) -> list[Path]:
-    """The folders of sweeps in a runs folder, damaged ones included, by name."""
-    return paths(Path(runs) / FOLDER, description=DESCRIPTION)
-
-
 def sweep_folder(run: RunSummary) -> Path | None:
     """The folder of the sweep that a run belongs to, by its name; None without one."""
     found = _OF_SWEEP.fullmatch(run.name)
@@ -225,7 +220,7 @@ def sweeps(runs: str | Path, name: str | None = None) -> tuple[list[SweepRecord]
     """The sweeps in a runs folder, the newest first, or those of this name or id; and one line per damaged file."""
     found: list[SweepRecord] = []
     problems: list[str] = []
-    for path in sweep_paths(runs):
+    for path in paths(Path(runs) / FOLDER, description=DESCRIPTION):
         try:
             record, damaged = read_sweep(path)
         except RunError as error:

@@ -13,7 +13,7 @@ from pydantic import Field as Setting
 from pydantic import TypeAdapter, ValidationError
 
 from ..errors import MachineError, PluginError
-from ..files import fingerprint, write_whole, writing
+from ..files import INSTALLED, fingerprint, write_whole, writing
 from ..registry import load
 from ..simulation.geometry import Box, Vector
 from ..system import user_cache
@@ -37,7 +37,8 @@ class FromFile(Arm):
         """The settings of every arm, and those that take the place of an assumption."""
 
         file: str = Setting(
-            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder"
+            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder, or "
+            "of a package: installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
             None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
@@ -80,6 +81,8 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
     content = fingerprint(path)
     if content is None:
         hint = "name a URDF or an MJCF file; in a spec relative to it, in an override to the current folder"
+        if settings.file.startswith(INSTALLED):
+            hint = f"pip install {settings.file.removeprefix(INSTALLED).partition('/')[0]}"
         raise PluginError("there is no such file", where=str(path), hint=hint)
     plain = path.suffix.lower() not in MJCF and settings.mass is None
     mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""

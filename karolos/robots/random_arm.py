@@ -44,7 +44,7 @@ BULK = 0.07
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 
-class Piece(NamedTuple):
+class ArmSegment(NamedTuple):
     """A joint of an arm of a UR5's size, and how its link goes on, with all joints at 0."""
 
     axis: tuple[int, int, int]
@@ -52,39 +52,39 @@ class Piece(NamedTuple):
     """From this joint to the next, or to the flange, in m, along the axes of the base."""
 
 
-FAMILIES: dict[str, tuple[tuple[int, int, int], tuple[Piece, ...]]] = {
+FAMILIES: dict[str, tuple[tuple[int, int, int], tuple[ArmSegment, ...]]] = {
     "offset wrist": (  # as UR, Doosan, xArm 6: three parallel axes
         Y,
         (
-            Piece(Z, (0.0, 0.13, 0.0)),
-            Piece(Y, (0.0, -0.12, 0.42)),
-            Piece(Y, (0.0, 0.0, 0.39)),
-            Piece(Y, (0.0, 0.1, 0.0)),
-            Piece(Z, (0.0, 0.0, 0.095)),
-            Piece(Y, (0.0, 0.08, 0.0)),
+            ArmSegment(Z, (0.0, 0.13, 0.0)),
+            ArmSegment(Y, (0.0, -0.12, 0.42)),
+            ArmSegment(Y, (0.0, 0.0, 0.39)),
+            ArmSegment(Y, (0.0, 0.1, 0.0)),
+            ArmSegment(Z, (0.0, 0.0, 0.095)),
+            ArmSegment(Y, (0.0, 0.08, 0.0)),
         ),
     ),
     "spherical wrist": (  # as ABB, KUKA KR, Puma: three axes that meet
         X,
         (
-            Piece(Z, (0.1, 0.0, 0.1)),
-            Piece(Y, (0.0, 0.0, 0.4)),
-            Piece(Y, (0.15, 0.0, 0.04)),
-            Piece(X, (0.25, 0.0, 0.0)),
-            Piece(Y, (0.05, 0.0, 0.0)),
-            Piece(X, (0.07, 0.0, 0.0)),
+            ArmSegment(Z, (0.1, 0.0, 0.1)),
+            ArmSegment(Y, (0.0, 0.0, 0.4)),
+            ArmSegment(Y, (0.15, 0.0, 0.04)),
+            ArmSegment(X, (0.25, 0.0, 0.0)),
+            ArmSegment(Y, (0.05, 0.0, 0.0)),
+            ArmSegment(X, (0.07, 0.0, 0.0)),
         ),
     ),
     "seven joints": (  # as Panda, iiwa, Gen3: a redundant one
         Z,
         (
-            Piece(Z, (0.0, 0.0, 0.15)),
-            Piece(Y, (0.0, 0.0, 0.2)),
-            Piece(Z, (0.06, 0.0, 0.16)),
-            Piece(Y, (-0.06, 0.0, 0.2)),
-            Piece(Z, (0.0, 0.0, 0.18)),
-            Piece(Y, (0.06, 0.0, 0.08)),
-            Piece(Z, (0.0, 0.0, 0.08)),
+            ArmSegment(Z, (0.0, 0.0, 0.15)),
+            ArmSegment(Y, (0.0, 0.0, 0.2)),
+            ArmSegment(Z, (0.06, 0.0, 0.16)),
+            ArmSegment(Y, (-0.06, 0.0, 0.2)),
+            ArmSegment(Z, (0.0, 0.0, 0.18)),
+            ArmSegment(Y, (0.06, 0.0, 0.08)),
+            ArmSegment(Z, (0.0, 0.0, 0.08)),
         ),
     ),
 }

@@ -10,6 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from ..errors import Problem, SpecError, is_secret
+from ..files import INSTALLED, installed_file
 from ..registry import loaded
 
 PARTS = {
@@ -237,12 +238,17 @@ def anchored(node: Node, folder: FilePath) -> Node:
         return node
     plugin = node.get("name")
     entries = {
-        key: Node(str(folder / one.value), one.at, one.key)
+        key: Node(str(_found(one.value, folder)), one.at, one.key)
         if isinstance(one.value, str) and (key == "robot.file" or (plugin and (plugin.value, key) in FILES))
         else anchored(one, folder)
         for key, one in node.mapping.items()
     }
     return Node(entries, node.at, node.key)
+
+
+def _found(name: str, folder: FilePath) -> FilePath | str:
+    """A file by its absolute name; one of a package that is missing keeps its name."""
+    return (installed_file(name) or name) if name.startswith(INSTALLED) else folder / name
 
 
 def is_part(path: tuple[str, ...]) -> bool:

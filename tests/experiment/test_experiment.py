@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import signal
+import subprocess
+import sys
 from functools import partial
 
 import numpy as np
@@ -138,14 +140,25 @@ def test_same_seed_gives_identical_tests_and_weights_whatever_the_processes(fini
     assert_same_state(weights(folder)[0], weights(before)[0])
 
 
-def test_seeds_side_by_side_give_what_seeds_one_after_the_other_give(finished, tmp_path):
+SIDE_BY_SIDE = """
+from karolos.launchers.experiment import Experiment
+outcome = Experiment({spec!r}).run({runs!r}, jobs=2, listener=lambda event: print(type(event).__name__))
+print("EXIT", outcome.exit_code, [(run.seed, run.state) for run in outcome.runs])
+"""
+
+
+def test_a_script_without_a_guard_runs_seeds_side_by_side_as_one_after_the_other(finished, tmp_path):
     _, outcome, _ = finished
-    events = []
-    together = Experiment(spec(seeds=[3, 1])).run(tmp_path, jobs=2, listener=events.append)
-    assert [run.seed for run in together.runs] == [3, 1]
-    for one, other in zip(folders(together), folders(outcome), strict=True):
-        assert_same_state(weights(one)[0], weights(other)[0])
-    assert {type(event) for event in events} >= {RunStarted, RunTested, RunEnded}
+    script, runs = tmp_path / "script.py", tmp_path / "runs"
+    script.write_text(SIDE_BY_SIDE.format(spec=spec(seeds=[3, 1]), runs=str(runs)))
+    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
+    *events, end = done.stdout.splitlines()
+    assert end == "EXIT 0 [(3, 'finished'), (1, 'finished')]", done.stderr
+    assert {"RunStarted", "RunTested", "RunEnded"} <= set(events)
+    assert len(list(runs.glob("toy-*"))) == 2, "each process has run its seed alone, and not the script"
+    for before in folders(outcome):
+        (path,) = runs.glob(f"toy-s{before.description()['seed']}-*")
+        assert_same_state(weights(RunFolder.open(path))[0], weights(before)[0])
 
 
 def press(number):

@@ -4,23 +4,16 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
+from support.fake_launcher import FakeLauncher
 from support.toy_runs import TOY
 
 from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.store import Store, check, reindex
-
-SCRIPT = """
-from karolos.launchers.experiment import Experiment
-outcome = Experiment({spec!r}).run({runs!r}, jobs=2, check=False, listener=lambda event: print(event))
-print("EXIT", outcome.exit_code, [(run.run, run.state, run.error) for run in outcome.runs])
-"""
 
 
 def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path: Path) -> None:
@@ -54,15 +47,6 @@ def _holder(inode: int) -> int:
     raise AssertionError("nobody holds the lock")
 
 
-def test_a_script_that_runs_seeds_side_by_side_needs_no_guard(tmp_path: Path) -> None:
-    script = tmp_path / "script.py"
-    script.write_text(SCRIPT.format(spec=TOY | {"seeds": [0, 1]}, runs=str(tmp_path / "runs")))
-    done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
-    assert done.stdout.count("EXIT 0 ") == 1, done.stderr
-    assert done.stdout.count("'finished'") >= 2
-    assert len(list((tmp_path / "runs").glob("toy-*"))) == 2
-
-
 class Outage:
     """A listener that takes the database away, and gives it back. It keeps the warnings."""
 
@@ -91,7 +75,10 @@ class Outage:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(jobs: int, tmp_path: Path) -> None:
+def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(
+    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("karolos.launchers.experiment.make_launcher", lambda *_: FakeLauncher())  # for two jobs
     outage = Outage(tmp_path)
     outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=jobs, listener=outage)
     assert outcome.exit_code == 0

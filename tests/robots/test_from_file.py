@@ -55,7 +55,8 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
     assert own.model.fingers is not None
     assert own.model.fingers.links == ("pad1", "pad2")
     assert abs(own.configuration.tool.y[0]) < 1e-3
-    other = robot_of(file=str(arm), gripper="vacuum")
+    known = {"home": own.model.home, "workspace": [list(own.workspace.low), list(own.workspace.high)]}
+    other = robot_of(file=str(arm), gripper="vacuum", **known)
     assert other.model.cup is not None
 
 
@@ -188,3 +189,19 @@ def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None
             ways.append(environment.robot.tool_position[1] - start)
     assert ways[0] > 0.05
     assert ways[1] == pytest.approx(ways[0], rel=0.02)
+
+
+def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    info = tmp_path / "some_arms-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-arms\nVersion: 1.0\n")
+    (info / "RECORD").write_text("share/arms/urdf/one.urdf,,\nshare/arms/urdf/other_one.urdf,,\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    spec = spec_in(tmp_path, '{name: urdf, file: "installed:some-arms/urdf/one.urdf"}')
+    assert spec.robot is not None
+    assert spec.robot.settings.model_dump()["file"] == str(tmp_path / "share/arms/urdf/one.urdf")
+    spec = spec_in(tmp_path, '{name: urdf, file: "installed:no-such-arms/one.urdf"}')
+    with pytest.raises(PluginError, match="there is no such file; pip install no-such-arms"):
+        load("robots", "urdf")(spec.robot.settings)  # type: ignore[union-attr]

@@ -182,7 +182,7 @@ from karolos.records.evaluation import Evaluation
 
 runs, url, start = Path(sys.argv[1]), sys.argv[2], os.pipe()
 children, flags = [], {name: (True,) for name in ("any", "end", "reset")}
-for index in range(20):
+for index in range(10):
     child = os.fork()
     if not child:
         os.close(start[1])
@@ -209,7 +209,7 @@ sys.exit(any(os.waitpid(child, 0)[1] for child in children))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_twenty_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
+def test_ten_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
     with empty_database(kind, tmp_path) as url:
         with RunFolder.create(tmp_path, "x", 99) as shared:
             shared.describe({"name": "x"}, experiment="same", source=tmp_path)
@@ -217,9 +217,9 @@ def test_twenty_processes_make_the_database_at_once_and_lose_nothing(tmp_path: P
         subprocess.run([sys.executable, "-c", MANY, str(tmp_path), url], check=True, timeout=60)
         with Store(url) as store:
             (labelled,) = store.runs(ids=[shared.id])
-            assert set(labelled.tags) == {f"tag{index}" for index in range(20)}
+            assert set(labelled.tags) == {f"tag{index}" for index in range(10)}
             runs = store.runs(where="not seed = 99")
-            assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(20)}
+            assert {(run.seed, run.state, run.steps) for run in runs} == {(seed, "finished", 5) for seed in range(10)}
             assert all(len(record.tests) == 5 for record in store.records(runs))
 
 

@@ -57,6 +57,7 @@ class Franka(Driver):
         self._sensors: Sensors | None = None
         self._closing = self._closed = False
         self._busy: Any = None
+        self._errors: tuple[type[Exception], ...] = ()
         self._moves = False
 
     def connect(self) -> dict[str, Any]:
@@ -65,6 +66,7 @@ class Franka(Driver):
         except ImportError:
             raise BundleError("franky-control is missing; pip install 'karolos-deploy[franka]'") from None
         self._franky, host = franky, self.values["host"]
+        self._errors = franky.Exception, franky.GripperException, franky.InvalidMotionTypeException
         config = franky.RealtimeConfig
         try:
             self._robot = franky.Robot(
@@ -73,7 +75,7 @@ class Franka(Driver):
             if self.values["gripper"] == "yes":
                 self._hand = franky.Gripper(host)
                 self._width = self._hand.state.max_width
-        except franky.Exception as error:
+        except self._errors as error:
             raise Fault("no connection", f"{host}: {str(error).splitlines()[0]}") from None
         self._fastest = SPEED_SHARE * np.array(self._robot.joint_velocity_limit.get())
         state = self._robot.state
@@ -97,7 +99,7 @@ class Franka(Driver):
                 else:
                     self._busy = self._hand.move_async(self._width, GRIPPER_SPEED)
             return float(self._hand.state.width / self._width)
-        except self._franky.Exception as error:
+        except self._errors as error:
             raise OSError(str(error)) from None
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
@@ -109,7 +111,7 @@ class Franka(Driver):
                 self._robot.move(self._franky.JointMotion(home, relative_dynamics_factor=0.1))
             if move:
                 self._turn(np.zeros(len(self.bundle.contract["joints"])))
-        except self._franky.Exception as error:
+        except self._errors as error:
             raise Fault("refused", str(error).splitlines()[0]) from None
         time.sleep(0.3)  # until all that is told is of the new episode
         self._moves = move
@@ -123,7 +125,7 @@ class Franka(Driver):
     def _state(self) -> Any:
         try:
             return self._robot.state
-        except self._franky.Exception as error:
+        except self._errors as error:
             raise Fault("connection lost", str(error).splitlines()[0]) from None
 
     def now(self) -> float:
@@ -161,9 +163,10 @@ class Franka(Driver):
         try:
             way = point.positions - self._positions - point.velocities / self.rate  # it is of the end of the cycle
             self._turn(np.clip(point.velocities + way / CATCH_UP, -self._fastest, self._fastest))
-        except self._franky.Exception as error:  # the motion before has failed
-            self.read()
-            raise Fault("refused", str(error).splitlines()[0]) from None
+        except self._errors as error:  # the motion before has failed
+            reading = self.read()
+            state = reading.state if reading is not None else RUNNING
+            raise Fault("refused" if state == RUNNING else state, str(error).splitlines()[0]) from None
 
     def stop(self) -> None:
         moved, self._moves = self._moves, False
@@ -172,7 +175,7 @@ class Franka(Driver):
         try:
             self._robot.move(self._franky.JointVelocityStopMotion(), asynchronous=True)
             self._robot.join_motion(1.0)
-        except self._franky.Exception:
+        except self._errors:
             pass  # then it has stopped by itself
 
     def outcome(self) -> bool | None:

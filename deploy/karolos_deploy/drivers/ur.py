@@ -157,9 +157,16 @@ class UR(Driver):
             done = self._press(point) if point.positions is None else self._follow(point)
         except RuntimeError as error:  # the client tried to connect again
             raise Fault("connection lost", str(error).splitlines()[0]) from None
-        if not done:
-            self.read()  # says why, if the robot knows
-            raise Fault("refused", "the controller took no set point")
+        if done:
+            return
+        for _ in range(20):  # the robot says why a moment later
+            if not self._control.isConnected():
+                raise Fault("connection lost", "the controller ended it")
+            reading = self.read()
+            if reading is not None and reading.state != RUNNING:
+                raise Fault(reading.state, "the robot says that it does not move")
+            time.sleep(0.01)
+        raise Fault("refused", "the controller took no set point")
 
     def _follow(self, point: SetPoint) -> bool:
         """Have the joints follow."""

@@ -1,19 +1,26 @@
 """What the example promises: files as the script writes them, a plug that fits one way round, and that arms seat it."""
 
 from math import pi
+from pathlib import Path
 
 import pytest
 from karolos_assembly.make_parts import parts
 from karolos_assembly.seat_plug import FLOOR, PARTS, TOP
+from karolos_deploy import Bundle, Executor
+from karolos_deploy.drivers.simulation import Simulation
 
 from karolos.environments.robot_task import RobotTask
 from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
+from karolos.export.bundle import export_bundle
+from karolos.launchers.experiment import Experiment
 from karolos.plugins.contracts import candidate, cases
+from karolos.records import RunFolder
 from karolos.registry import find, load
 from karolos.simulation.engines import make_world
 from karolos.simulation.geometry import rotation_about
 from karolos.simulation.shapes import Mesh
+from karolos.specification import load_spec
 
 
 def test_it_is_found_by_its_entry_point() -> None:
@@ -53,3 +60,16 @@ def test_the_expert_seats_the_plug_with_every_arm(robot: str) -> None:
     environment = RobotTask(RobotTask.Settings(), robot=arm(arm.Settings()), task=task(task.Settings()))
     assert evaluate(environment, expert_policy(environment), episodes=5, seed=0).success_end == 1
     environment.close()
+
+
+def test_a_policy_leaves_as_a_bundle_that_moves_the_simulated_robot(tmp_path: Path) -> None:
+    """Trained for a moment only. Each observation of its logged episode follows from what a robot reads."""
+    smoke = Path(__file__).parents[1] / "specs" / "smoke" / "seat_plug.yaml"
+    (run,) = Experiment(load_spec(smoke)).run(tmp_path / "runs").runs
+    bundle = Bundle(export_bundle(RunFolder.open(run.folder), tmp_path / "bundle").folder)
+    assert bundle.replay_episode() == 50
+    driver = Simulation(bundle, {"clock": "simulated"})
+    executor = Executor(bundle, driver, rate=125)
+    executor.check()
+    assert executor.run(0, steps=5).steps == 5
+    driver.close()
