@@ -317,9 +317,9 @@ def segments(key: str) -> list[str]:
 def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) -> Node:
     """The whole spec: what is written, with changes on top, without nulls, and with a name and all default parts.
 
-    A change that only names another plugin keeps the settings that both plugins declare with the same type:
-    `buffer.name=priority` retains capacity, hindsight and n_step of a uniform buffer. A file that names another plugin
-    replaces the whole part instead.
+    A change that names another plugin keeps the settings that both plugins declare with the same type and that it does
+    not give: `buffer.name=priority` and `buffer={name: priority, alpha: 0.5}` retain capacity, hindsight and n_step of
+    a uniform buffer. A file that names another plugin replaces the whole part instead.
 
     Args:
         stem: of the file, the default of the spec's name.
@@ -339,13 +339,13 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
 
 
 def _with_shared_settings(tree: Node, change: Node) -> Node:
-    """The change; if it only names another plugin, with the settings that both declare."""
+    """The change; if it names another plugin, with the settings that both declare and that it does not give."""
     for key, above in (change.mapping or {}).items():  # one entry
         below = tree.get(key)
-        if key in PARTS and below is not None and set(above.mapping or ()) == {"name"} and _changes_name(below, above):
+        if key in PARTS and below is not None and above.mapping is not None and _changes_name(below, above):
             before, after = (_types(key, part["name"].value) for part in (below, above))
             same = {name for name in before if name in after and before[name] == after[name]}
-            shared = {name: node for name, node in (below.mapping or {}).items() if name in same}
+            shared = {name: node for name, node in (below.mapping or {}).items() if name in same - set(above.mapping)}
             return merged(Node({key: Node(shared, above.at)}, change.at), change)
     return change
 

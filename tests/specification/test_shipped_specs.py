@@ -92,6 +92,8 @@ def test_override_of_a_name_keeps_the_settings_that_both_plugins_have_and_origin
     assert agent.settings.learning_rate == before.agent.settings.learning_rate
     assert agent.settings.tau == 0.1
     assert agent.settings.noise.std == 0.2  # td3's own: its noise has another type
+    robot = load_spec(SPECS / "ur5_push.yaml", ["robot={name: panda, reset_noise: 0.01}"]).robot
+    assert (robot.settings.base, robot.settings.reset_noise) == ("centred", 0.01), "with other settings, too"
 
 
 REACH = "robot: panda\ntask: reach\nagent: sac\n"
