@@ -331,7 +331,7 @@ class RunFolder:
     def stages(self, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
         """Of the last training episodes: stage that they began in -> how many did, and how many of these succeeded.
 
-        "start" are those that began as tests do. Empty where a spec lets none begin further on.
+        "start" are those that began as tests do. The easiest comes first. Empty where a spec lets none begin further on.
         """
         found: dict[str, tuple[int, int]] = {}
         start = self.episodes_bytes() - episodes * EPISODE_BYTES
@@ -342,7 +342,7 @@ class RunFolder:
             stage = next((name.removeprefix(STAGE) for name, drawn in chances.items() if drawn), "start")
             played, succeeded = found.get(stage, (0, 0))
             found[stage] = played + 1, succeeded + row["end"]
-        return found
+        return dict(sorted(found.items(), key=lambda one: -one[1][1] / one[1][0]))
 
     def episodes_bytes(self) -> int:
         """Size of episodes.jsonl, for `cut_episodes` when the run is resumed."""
