@@ -331,7 +331,7 @@ class RunFolder:
     def stages(self, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
         """Of the last training episodes: stage that they began in -> how many did, and how many of these succeeded.
 
-        "start" are those that began as tests do. The easiest comes first. Empty where a spec lets none begin further on.
+        "start" are those that began as tests do. The easiest comes first. Empty where none begins further on.
         """
         found: dict[str, tuple[int, int]] = {}
         start = self.episodes_bytes() - episodes * EPISODE_BYTES
