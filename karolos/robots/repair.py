@@ -236,7 +236,8 @@ class Repair:
 def _expanded(path: Path) -> str:
     """The text of a URDF without macros of xacro. Raises PluginError if they need more than there is.
 
-    `$(find PACKAGE)` is the folder of this name in those above the file, as in a checkout.
+    `$(find PACKAGE)` is the folder of this name in those above the file, as in a checkout, or else the file's own
+    package.
     """
     try:
         xacro: Any = import_module("xacro")
@@ -246,11 +247,10 @@ def _expanded(path: Path) -> str:
         raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint) from None
 
     def find(package: str) -> str:
-        places = (place for above in path.absolute().parents for place in (above, above / package))
-        found = next((place for place in places if place.name == package and place.is_dir()), None)
-        if found is None:
-            raise PluginError(f"no folder {package} in those above it", where=str(path))
-        return str(found)
+        above = path.absolute().parents
+        places = (place for one in above for place in (one, one / package))
+        named = (place for place in places if place.name == package and place.is_dir())
+        return str(next(named, above[1]))  # the file's own package may have been renamed
 
     arguments._eval_find = find
     try:
