@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from karolos.errors import PluginError
+from karolos.errors import KarolosError, PluginError
 
 from .arguments import Json
 from .completion import complete_plugin
@@ -18,7 +18,6 @@ from .output import print_line, print_rows, print_table, say
 app = typer.Typer(
     name="robot", help="Check an arm from a URDF, and score it with the policies that ship.", no_args_is_help=True
 )
-Given = Annotated[str, typer.Argument(metavar="FILE|NAME", help="A URDF, or the name of an installed robot.")]
 Gripper = Annotated[
     str,
     typer.Option(
@@ -85,12 +84,18 @@ def check(
 
 @app.command()
 def score(
-    robot: Given,
+    robots: Annotated[
+        list[str],
+        typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
+    ],
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
         str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or one: ur5_pick.")
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
+    mass: Annotated[
+        float | None, typer.Option(min=0.01, metavar="KG", help="Of the arm, where its file has to be repaired.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of the page and its films. Default: ./NAME-score.")
     ] = None,
@@ -98,39 +103,73 @@ def score(
 ) -> None:
     """Play the policies that ship on a robot that they never saw: success, and why the other episodes fail.
 
-    Nothing is trained. A page with a film of each task is written, and score.json with the same numbers.
+    Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
+    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all.
     """
     from karolos.files import write_json, writing
-    from karolos.plugins.robot_score import policies_of, score_robot, scores_table, write_score_page
+    from karolos.plugins.robot_score import (
+        arms_table,
+        policies_of,
+        refused,
+        score_robot,
+        scores_table,
+        write_score_page,
+    )
     from karolos.records.shipped import shipped_names
 
     chosen = [policies] if policies in shipped_names() else policies_of(policies)
-    overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper)
-    folder = out or Path(f"{name}-score")
-    with writing(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-    scores = []
-    for one in score_robot(chosen, overrides, episodes, folder):
-        scores.append(one)
-        say(f"{one.policy}: {one.refused or one.success}")
-    write_score_page(folder / "score.html", name, notes, scores)
-    rows = [asdict(one) for one in scores]
-    write_json(folder / "score.json", {"robot": name, "overrides": overrides, "assumed": notes, "policies": rows})
-    if json:
-        print_rows(rows, json=True)
-        return
-    print_table(scores_table(scores))
-    print_line(str(folder / "score.html"))
+    every = []
+    for robot in robots:
+        name = Path(robot).stem
+        folder = (out or Path()) / f"{name}-score" if len(robots) > 1 or out is None else out
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        overrides: list[str] = []
+        notes: list[str] = []
+        try:
+            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, folder, mass)
+            found = score_robot(chosen, overrides, episodes, folder)
+        except KarolosError as error:
+            if len(robots) == 1:
+                raise
+            found = iter([refused(one, episodes, error) for one in chosen])
+        scores = []
+        for one in found:
+            scores.append(one)
+            say(f"{name}: {one.policy}: {one.refused or one.success}")
+        write_score_page(folder / "score.html", name, notes, scores)
+        rows = [asdict(one) for one in scores]
+        write_json(folder / "score.json", {"robot": name, "overrides": overrides, "assumed": notes, "policies": rows})
+        every.append((name, scores))
+        if json:
+            print_rows([{"robot": name, **row} for row in rows] if len(robots) > 1 else rows, json=True)
+        else:
+            print_table(scores_table(scores))
+            print_line(str(folder / "score.html"))
+    if len(robots) > 1 and not json:
+        print_table(arms_table(every))
 
 
-def _overrides(robot: str, gripper: str | None) -> tuple[list[str], list[str], str]:
+def _overrides(robot: str, gripper: str | None, folder: Path, mass: float | None) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, what is assumed of its file, and what it is called."""
+    from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of
+    from karolos.robots.repair import Repair
 
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
-    path = Path(robot).absolute()
-    settings = FromFile.Settings.model_validate({"file": str(path), "gripper": gripper})
-    return ["robot.name=urdf", f"robot.file={path}", *gripping], list(proposal_of(settings).notes), path.stem
+    path = Path((installed_file(robot) if robot.startswith(INSTALLED) else None) or robot)
+    path, name, notes = path.absolute() if not str(path).startswith(INSTALLED) else path, path.stem, list[str]()
+    try:
+        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
+    except PluginError:
+        repair = Repair(path, mass)
+        if repair.robot is None or not repair.findings:
+            raise
+        path = folder.absolute() / f"{name}.urdf"
+        repair.write(path)
+        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
+        notes = [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
+    return ["robot.name=urdf", f"robot.file={path}", *gripping], [*notes, *found.notes], name

@@ -77,8 +77,11 @@ class Case:
             self.read += [found] if found is not None else []
             return found
 
-        driver.read = recorded  # type: ignore[method-assign]
-        driver.send = lambda point: (self.sent.append(point), send(point))[1]  # type: ignore[method-assign,func-returns-value]
+        def told(point: SetPoint) -> None:
+            self.sent.append(point)
+            send(point)
+
+        driver.read, driver.send = recorded, told  # type: ignore[method-assign]
         try:
             executor = Executor(bundle, driver, rate=RATE)
             executor.late = LATE

@@ -91,7 +91,7 @@ class PendingTests:
         """Play tests here until no more wait than may wait during training."""
         while not self._stop.requested:
             most = MAX_WAITING if self._process is not None and self._any_finished else 0
-            if sum(not self._is_over(test) for test in self.pending) <= most:
+            if self._waiting() <= most:
                 break
             self._play_here()
         self.advance()
@@ -178,6 +178,10 @@ class PendingTests:
         playing = () if taken else (self._here, self._there and self._there[0])
         every = (part for test in self.pending for part in test.parts)
         return (part for part in every if part not in self._results and part not in playing)
+
+    def _waiting(self) -> int:
+        """Pending tests that are not over."""
+        return sum(not self._is_over(test) for test in self.pending)
 
     def _is_over(self, test: DueEvaluation) -> bool:
         return all(part in self._results for part in test.parts)

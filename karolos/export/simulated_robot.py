@@ -45,7 +45,7 @@ class SimulatedRobot:
 
     Args:
         bundle: folder of the bundle.
-        settings: `seed`, `latency`, `jitter`, `noise`, `calibration` and `change`, as the driver `simulation` says.
+        settings: `seed` and `change`, as the driver `simulation` says.
     """
 
     def __init__(self, bundle: Path, settings: Mapping[str, str]) -> None:
@@ -59,8 +59,6 @@ class SimulatedRobot:
         self.environment, self.arm, self.task = environment, arm, environment.task
         seed = settings.get("seed") or spec.testing.seed
         self._seeds = test_seeds(int(seed), 1_000_000)
-        numbers = [float(settings.get(name) or 0) for name in ("latency", "jitter", "noise", "calibration")]
-        self._latency, self._jitter, self._noise, self._calibration = numbers
         self.world = environment.world  # building it gives the arm its motors
         self.arm.motors.set_wrench_filter(0.0)  # the executor filters
         self.measured = [one["name"] for one in self.contract["observation"] if one["formula"] == "measured"]
@@ -73,7 +71,7 @@ class SimulatedRobot:
         """Begin a test episode; its goal."""
         self.environment.reset(self._seeds[episode])
         self._generator = np.random.default_rng(self._seeds[episode])
-        self._offset = self._generator.uniform(-self._calibration, self._calibration, 3)
+        self._latency, self._jitter = self.arm.value("latency"), self.arm.value("jitter")
         self._point: Mapping[str, Any] | None = None
         self._due = self.time
         self.state = "running"
@@ -145,15 +143,10 @@ class SimulatedRobot:
         seen = np.array(task.observe())
         measured = {}
         for name in self.measured:
-            field = next(one for one in task.observation.fields if one.name == name)
-            values = seen[task.observation.slice(name)]
-            measured[name] = (values + self._offset if (field.unit, field.size) == ("m", 3) else values).tolist()
-        positions = np.array(arm.joint_positions)
-        if self._noise:
-            positions = positions + self._generator.normal(0.0, self._noise, positions.size)
+            measured[name] = seen[task.observation.slice(name)].tolist()
         return {
             "time": self.time,
-            "positions": positions.tolist(),
+            "positions": arm.with_noise(arm.joint_positions),
             "velocities": list(arm.joint_velocities),
             "wrench": list(arm.wrench),
             "opening": arm.opening,

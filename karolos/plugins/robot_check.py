@@ -34,7 +34,7 @@ def check_file(
 
     Raises MachineError if the copy cannot be written.
     """
-    repair = Repair(path, mass)
+    repair = Repair(path, mass, expand=repaired is not None)
     for finding in repair.findings:
         yield {"kind": "wrong", **asdict(finding)}
     if repair.robot is None:

@@ -7,13 +7,14 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
+from operator import itemgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from ..core import FloatArray, Step
+from ..core import FloatArray, SeedTree, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
 from ..errors import KarolosError, UsageError, alternatives
@@ -28,6 +29,7 @@ from ..report.page import Section, document
 from ..report.tables import Columns, Table
 from ..report.video import write_film
 from ..robots.arm import Arm
+from ..statistics.aggregates import mean, paired_interval
 from ..statistics.intervals import wilson
 from ..system import cores
 
@@ -129,6 +131,11 @@ def policies_of(robot: str) -> list[str]:
     return found
 
 
+def refused(policy: str, episodes: int, error: KarolosError) -> PolicyScore:
+    """The score of a policy on a robot that does not do its task, or that cannot be used at all."""
+    return PolicyScore(policy, policy.partition("_")[2], episodes, None, refused=" ".join(str(error).splitlines()))
+
+
 def score_policy(
     name: str, overrides: Sequence[str], episodes: int, film: Path | None = None, size: tuple[int, int] = (320, 240)
 ) -> PolicyScore:
@@ -147,7 +154,7 @@ def score_policy(
     try:
         player = load_player(folder, "last", overrides)
     except KarolosError as error:  # the robot and the task do not go together
-        return PolicyScore(name, task, episodes, None, refused=" ".join(str(error).splitlines()))
+        return refused(name, episodes, error)
     environment, seed = player.environment, player.spec.testing.final_seed
     causes: Counter[str] = Counter()
     ends, shown = 0, 0
@@ -202,6 +209,32 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
         "seconds": lambda one: f"{one.seconds:.0f}",
     }
     return Table.of(scores, columns)
+
+
+def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
+    """A row for each task. The arm is the unit: mean over arms with its bootstrap interval, least, and who is left out.
+
+    Args:
+        scores: name and scores of each arm.
+    """
+    rows = []
+    for task in dict.fromkeys(one.task for _, of in scores for one in of):
+        found = [(arm, one) for arm, of in scores for one in of if one.task == task]
+        values = sorted((one.success, arm) for arm, one in found if one.success is not None)
+        over = [value for value, _ in values]
+        interval = paired_interval([over], mean, SeedTree(0).generator()) if over else None
+        within = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
+        rows.append(
+            {
+                "task": task,
+                "arms": str(len(over)),
+                "mean": f"{float(np.mean(over)):.3f}{within}" if over else "-",
+                "least": "{:.2f} {}".format(*values[0]) if values else "-",
+                "refused": "; ".join(f"{arm}: {one.refused}" for arm, one in found if one.refused),
+            }
+        )
+    columns: Columns[dict[str, str]] = {key: itemgetter(key) for key in ("task", "arms", "mean", "least", "refused")}
+    return Table.of(rows, columns, "Over arms")
 
 
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:

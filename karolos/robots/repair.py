@@ -5,10 +5,13 @@ from __future__ import annotations
 import os
 import re
 from dataclasses import dataclass
+from importlib import import_module
 from math import pi
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 from xml.etree.ElementTree import Element, SubElement
+from xml.parsers.expat import ExpatError
 
 import numpy as np
 
@@ -31,6 +34,8 @@ PAYLOAD, PAYLOAD_SHARE, PAYLOAD_ARM = 2.0, 1 / 15, 0.2
 """What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
 how far from its last joint in m."""
 MJCF = (".xml", ".mjcf")
+XACRO = "xmlns:xacro"
+"""Declares its prefix."""
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 
@@ -57,9 +62,10 @@ class Repair:
         path: of the URDF, or of an MJCF file, of which a URDF is made.
         mass: of the whole arm in kg, as the data sheet says; None: unknown.
         limits: whether to repair the limits of the joints, too.
+        expand: whether to expand macros of xacro, whose expressions Python evaluates: only for files that one trusts.
     """
 
-    def __init__(self, path: Path, mass: float | None = None, *, limits: bool = True) -> None:
+    def __init__(self, path: Path, mass: float | None = None, *, limits: bool = True, expand: bool = False) -> None:
         self.path, self.findings = path, list[Finding]()
         self.robot: Element | None = None
         try:
@@ -68,7 +74,12 @@ class Repair:
                 change = f"{USUAL_SPEED:g} rad/s; write the data sheet's into a URDF"
                 self.findings.append(Finding(str(path), "MJCF has no speeds of joints", change))
             else:
-                text = self._declared(urdf.text_of(path))
+                text = urdf.text_of(path)
+                if expand and XACRO in text:
+                    text = _expanded(path)
+                    change = "expanded with the values that the file gives"
+                    self.findings.append(Finding(str(path), "macros of xacro", change))
+                text = self._declared(text)
             urdf.load(path, strict=False, text=text)  # raises for what is no URDF, at its line
             self.robot, self._lines = urdf.parse(path, text)
             self._repair(self.robot, mass, limits=limits)
@@ -220,6 +231,34 @@ class Repair:
             reached += [(one.child, away + float(np.linalg.norm(one.origin))) for one in below]
         payload = max(PAYLOAD, PAYLOAD_SHARE * sum(mass for mass, _, _ in masses.values()))
         return GRAVITY * (total + payload * (furthest + PAYLOAD_ARM))
+
+
+def _expanded(path: Path) -> str:
+    """The text of a URDF without macros of xacro. Raises PluginError if they need more than there is.
+
+    `$(find PACKAGE)` is the folder of this name in those above the file, as in a checkout.
+    """
+    try:
+        xacro: Any = import_module("xacro")
+        arguments: Any = import_module("xacro.substitution_args")
+    except ImportError:
+        hint = "pip install xacro"
+        raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint) from None
+
+    def find(package: str) -> str:
+        places = (place for above in path.absolute().parents for place in (above, above / package))
+        found = next((place for place in places if place.name == package and place.is_dir()), None)
+        if found is None:
+            raise PluginError(f"no folder {package} in those above it", where=str(path))
+        return str(found)
+
+    arguments._eval_find = find
+    try:
+        text: str = xacro.process_file(str(path)).toxml()
+    except (xacro.XacroException, arguments.SubstitutionException, ExpatError, OSError) as error:
+        what = " ".join(str(error).splitlines())
+        raise PluginError(f"xacro cannot expand it: {what}", where=str(path)) from None
+    return text
 
 
 def _set_inertia(link: Element, mass: float, solid: Solid) -> None:

@@ -145,7 +145,8 @@ def test_wrong_options_are_refused_in_one_line(
 
 
 def test_a_simulated_robot_in_a_process_of_its_own_succeeds(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = ["clock=simulated", "latency=0.01", "jitter=0.002", "calibration=0.001"]
+    change = "change=robot.latency=0.01 robot.jitter=0.002 robot.calibration_error=0.001 robot.observation_noise=0.0002"
+    settings = ["clock=simulated", change]
     arguments = [part for one in settings for part in ("--set", one)]
     assert command.main([str(whole), "--move", "--json", "--rate", "125", "--episodes", "2", *arguments]) == 0
     told = json.loads(capsys.readouterr().out)

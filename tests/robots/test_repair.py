@@ -81,3 +81,18 @@ def test_what_nobody_can_know_is_found_without_a_change(arm: Path, old: str, new
     findings = Repair(arm).findings
     assert what in findings[-1].what
     assert not findings[-1].change
+
+
+def test_macros_are_expanded_where_a_person_asks_for_it(arm: Path) -> None:
+    pytest.importorskip("xacro")
+    text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
+    first = "<robot" + text.split("<robot", 1)[1].split(">", 1)[0] + ">"
+    macro = '<xacro:property name="speed" value="${1.25 * 2}"/><xacro:property name="here" value="$(find urdf)"/>'
+    arm.write_text(text.replace(first, first + macro).replace('velocity="2.5"', 'velocity="${speed}"'))
+    refused = Repair(arm)
+    assert refused.robot is None
+    assert "macros of xacro" in refused.findings[0].what
+    found = Repair(arm, expand=True)
+    assert [one.what for one in found.findings][:1] == ["macros of xacro"]
+    assert found.robot is not None
+    assert {limit.get("velocity") for limit in found.robot.iter("limit")} >= {"2.5"}

@@ -54,7 +54,7 @@ class Franka(Driver):
             raise BundleError("the address of the controller is missing: --set host=...")
         self._robot: Any = None
         self._hand: Any = None
-        self._sensors: Sensors | None = None
+        self._sensors: Any = None
         self._closing = self._closed = False
         self._busy: Any = None
         self._errors: tuple[type[Exception], ...] = ()
@@ -103,8 +103,7 @@ class Franka(Driver):
             raise OSError(str(error)) from None
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
-        assert self._sensors is not None
-        goal = self._sensors.begin(episode)
+        goal: list[float] | None = self._sensors.begin(episode)
         try:
             if move and self.values["home"] == "yes":
                 home = self._franky.JointState([joint["home"] for joint in self.bundle.contract["joints"]])
@@ -143,7 +142,6 @@ class Franka(Driver):
                 raise Fault("connection lost", "the controller's clock stands")
 
     def read(self) -> Reading | None:
-        assert self._sensors is not None
         self._sensors.check()
         state = self._state()
         self._positions = np.array(state.q)
@@ -156,7 +154,6 @@ class Franka(Driver):
     def send(self, point: SetPoint) -> None:
         if not self._moves:
             return
-        assert self._sensors is not None
         assert point.positions is not None
         assert point.velocities is not None
         self._sensors.wanted = point.opening
@@ -179,8 +176,8 @@ class Franka(Driver):
             pass  # then it has stopped by itself
 
     def outcome(self) -> bool | None:
-        assert self._sensors is not None
-        return self._sensors.outcome()
+        known: bool | None = self._sensors.outcome()
+        return known
 
     def close(self) -> None:
         if self._sensors is not None:

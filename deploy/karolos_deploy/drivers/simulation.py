@@ -77,11 +77,7 @@ class Simulation(Driver):
         "address": "",  # HOST:PORT of a simulated robot that runs already; empty: one is started
         "clock": "real",  # or simulated
         "seed": "",  # of the test episodes; empty: those of `karolos test`
-        "latency": "0",  # s, age of the readings
-        "jitter": "0",  # s, by which it varies
-        "noise": "0",  # rad, standard deviation of what joints tell
-        "calibration": "0",  # m, largest error of what cameras tell, per axis, drawn once per episode
-        "change": "",  # settings and parameters of the world, such as robot.link_mass=1.1 task.object_mass=0.2
+        "change": "",  # settings and parameters as for `karolos test`, such as robot.latency=0.02 task.object_mass=0.2
     }
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
@@ -97,8 +93,7 @@ class Simulation(Driver):
     def connect(self) -> dict[str, Any]:
         address = self.values["address"] or self._start()
         self._channel = Channel(address)
-        names = ("seed", "latency", "jitter", "noise", "calibration", "clock", "change")
-        return self._channel.ask(do="connect", **{name: self.values[name] for name in names})
+        return self._channel.ask(do="connect", **{name: self.values[name] for name in ("seed", "clock", "change")})
 
     def _start(self) -> str:
         command = [self.values["python"], "-m", "karolos.export.simulated_robot", str(self.bundle.folder)]

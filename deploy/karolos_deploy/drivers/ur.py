@@ -64,7 +64,7 @@ class UR(Driver):
         self._control: Any = None
         self._time, self._moves = -1.0, False
         self._gripper: Any = None
-        self._sensors: Sensors | None = None
+        self._sensors: Any = None
 
     def connect(self) -> dict[str, Any]:
         try:
@@ -114,8 +114,7 @@ class UR(Driver):
         return str(self._gripper.readline())
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
-        assert self._sensors is not None
-        goal = self._sensors.begin(episode)
+        goal: list[float] | None = self._sensors.begin(episode)
         time.sleep(0.3)  # until all that is told is of the new episode
         if not self._control.isProgramRunning():
             self._control.reuploadScript()
@@ -127,7 +126,6 @@ class UR(Driver):
 
     def read(self) -> Reading | None:
         receive, sensors = self._receive, self._sensors
-        assert sensors is not None
         sensors.check()
         if not receive.isConnected():
             raise Fault("connection lost", "the controller ended it")
@@ -151,7 +149,6 @@ class UR(Driver):
     def send(self, point: SetPoint) -> None:
         if not self._moves:
             return
-        assert self._sensors is not None
         self._sensors.wanted = point.opening
         try:
             done = self._press(point) if point.positions is None else self._follow(point)
@@ -201,8 +198,8 @@ class UR(Driver):
             pass  # the watchdog stops it
 
     def outcome(self) -> bool | None:
-        assert self._sensors is not None
-        return self._sensors.outcome()
+        known: bool | None = self._sensors.outcome()
+        return known
 
     def close(self) -> None:
         if self._sensors is not None:
