@@ -56,9 +56,7 @@ def measure(
     for mode in modes:
         plain, randomized = (pair(robot, task, engine, control=mode) for _ in range(2))
         # Each value drawn is nominal, so that the physics is the same.
-        declared = {f"robot.{name}": one for name, one in plain.robot.parameters.items()}
-        declared |= {f"task.{name}": one for name, one in plain.task.parameters.items()}
-        nominal = {name: Normal(Normal.Settings(mean=one.nominal, std=0.0)) for name, one in declared.items()}
+        nominal = {name: Normal(Normal.Settings(mean=one.nominal, std=0.0)) for name, one in plain.declared.items()}
         randomized.randomize(nominal)
         contestants[mode, "steps"] = partial(_steps_and_physics, plain)
         contestants[mode, "reset"] = partial(_reset, plain)

@@ -13,13 +13,14 @@ from typing import Annotated
 
 from typer import Option
 
-from karolos.errors import KarolosError
+from karolos.errors import KarolosError, UsageError
 from karolos.evaluation.playing import FirstSuccesses, evaluate
 from karolos.evaluation.policies import expert_policy, random_policy
 from karolos.gym import STEPS
 from karolos.plugins import inspection
 from karolos.registry import names
 from karolos.simulation.engines import Engine
+from karolos.simulation.interface import Task
 from karolos.statistics.intervals import wilson
 from karolos.system import cores
 
@@ -51,7 +52,10 @@ def measure(
     named = [text.partition("/")[::2] for text in pair or ()]
     for robot, task in named or product(names("robots"), names("tasks")):
         try:
-            inspection.pair(robot, task, engine).close()
+            made = inspection.pair(robot, task, engine)
+            made.close()
+            if type(made.task).expert is Task.expert:
+                raise UsageError(f"{task} has no expert")
         except KarolosError as error:
             if named:
                 raise
