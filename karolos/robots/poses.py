@@ -250,20 +250,22 @@ class Poses:
 
         A slow arm takes the same way in more of them.
         """
-        pose = rest = np.array(home)
-        start = self.chain.forward(home).tool
-        yaw, slower = atan2(start.x[1], start.x[0]), self.usual_step / max(self._tool_step(pose), 1e-3)
-        most = self.speeds * PERIOD * max(1.0, slower)
+        start, usual = self.chain.forward(home).tool, self.usual_step
+        yaw, slower = atan2(start.x[1], start.x[0]), usual / max(self._tool_step(np.array(home)), 1e-3)
+        most = (self.speeds * PERIOD * max(1.0, slower)).tolist()
+        # Plain numbers: of seven joints they cost a third of what arrays do.
+        low, high, joints = self.low.tolist(), self.high.tolist(), list(home)
         for _ in range(CONTROL_STEPS):
-            at = self.chain.forward(pose.tolist())
-            x, y, z = at.tool.position
-            dx, dy, dz = np.clip(np.subtract(target, (x, y, z)), -self.usual_step, self.usual_step).tolist()
-            wanted = downward((x + dx, y + dy, z + dz), yaw)
-            change = np.array(self.chain.step(at, wanted, (POSTURE_GAIN * (rest - pose)).tolist()))
-            pose = np.clip(pose + change / max(1.0, (np.abs(change) / most).max()), self.low, self.high)
-            if np.abs(change).max() < 1e-4:
+            at = self.chain.forward(joints)
+            x, y, z = (p + min(max(t - p, -usual), usual) for t, p in zip(target, at.tool.position, strict=True))
+            posture = [POSTURE_GAIN * (rest - now) for rest, now in zip(home, joints, strict=True)]
+            change = self.chain.step(at, downward((x, y, z), yaw), posture)
+            share = max(1.0, *(abs(one) / limit for one, limit in zip(change, most, strict=True)))
+            moved = (now + one / share for now, one in zip(joints, change, strict=True))
+            joints = [min(max(new, least), top) for new, least, top in zip(moved, low, high, strict=True)]
+            if max(map(abs, change)) < 1e-4:
                 break
-        end = self.chain.forward(pose.tolist()).tool
+        end, pose = self.chain.forward(joints).tool, np.array(joints)
         there = float(np.linalg.norm(np.subtract(end.position, target))) < ARRIVED and end.z[2] < -1 + 1e-4
         return pose, there and self._clear(pose)
 

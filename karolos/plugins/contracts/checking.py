@@ -12,7 +12,7 @@ from ...errors import KarolosError, UsageError, alternatives
 from ...registry import blaming, names, singular
 from ...robots.arm import Arm
 from ...simulation.engines import ENGINES
-from ...simulation.interface import Cup
+from ...simulation.interface import Cup, Task
 from . import agents, buffers, distributions, environments, pairs, robots, tasks
 from .case import Candidate, Case, candidate, required
 from .joined import TURNING, controls, goes_with, refusal, under
@@ -66,7 +66,7 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
         return []
     if refusal(robot, task) is not None:
         return pairs.REFUSED.cases(robot, task)
-    groups = [pairs.PROMISES]
+    groups = [pairs.PROMISES] if task.plugin.expert is Task.expert else [pairs.EXPERT, pairs.PROMISES]
     if task.name == "reach":
         groups += [pairs.IN_REACH, pairs.ARM_IN_REACH] if issubclass(robot.plugin, Arm) else [pairs.IN_REACH]
     modes = [mode for mode in controls(robot) if goes_with(task, mode.settings.get("control"))]
