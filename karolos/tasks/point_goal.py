@@ -77,7 +77,7 @@ class Places(PointGoal):
 
     def _distances(self, achieved: Array, desired: Array) -> FloatArray:
         off = (achieved - desired)[..., :-1]
-        off = off.reshape(*off.shape[:-1], -1, 3)
+        off = off.reshape(*off.shape[:-1], off.shape[-1] // 3, 3)  # also of no goals
         metres: FloatArray = np.sqrt(np.vecdot(off, off), dtype=np.float32)
         return metres
 

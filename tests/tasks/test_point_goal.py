@@ -55,6 +55,9 @@ def test_no_place_is_a_named_error_after_bounded_attempts() -> None:
 
 def test_each_thing_in_its_place_counts_and_the_last_when_all_are_left_alone() -> None:
     rule, goal = Places(0.015), np.array((0, 0, 0.04, 0, 0, 0.04, 1), np.float32)
+    assert rule.reward(np.zeros((0, 7), np.float32), np.zeros((0, 7), np.float32)).shape == (0,), (
+        "a batch without goals"
+    )
     placed, off = (0, 0, 0.04), (0.1, 0, -0.04)
     achieved = np.array([(*off, *off, 1), (*placed, *off, 0), (*placed, *placed, 0), (*placed, *placed, 1)], np.float32)
     assert rule.reward(achieved, goal).tolist() == [-1, -0.5, -0.5, 0]
