@@ -13,6 +13,9 @@ from ..errors import UsageError, described
 from .experience import Step
 from .signature import Array, FloatArray, Signature
 
+STAGE = "task.start_"
+"""What the names of parameters begin with that are probabilities of stages in which training episodes may begin."""
+
 
 class Expert(ABC):
     """A scripted policy for an environment: it shows that a task can be solved, and gives demonstrations.
@@ -66,7 +69,10 @@ class Environment(ABC):
         """
 
     def parameters(self) -> FloatArray:
-        """The values that domain randomization drew for this episode, in the layout `signature.parameters`."""
+        """The values that domain randomization drew for this episode, in the layout `signature.parameters`.
+
+        Of the probability of a stage (`STAGE`) it is 1 if the episode began in the stage, else 0.
+        """
         return np.zeros(0, np.float32)
 
     def measures(self) -> FloatArray:

@@ -14,6 +14,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Measure, SeedTree, Signature, Step
 from ..core import Settings as BaseSettings
+from ..core.environment import STAGE
 from ..errors import PluginError, UsageError
 from ..randomization.distributions import Distribution
 from ..randomization.randomization import Randomization
@@ -26,8 +27,6 @@ TIME_TO_SUCCESS = Measure(
     "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"
 )
 FINAL_ANGLE = Measure("final_angle", "rad", "smaller", "angle to the goal's orientation at the end of the episode")
-STAGE = "task.start_"
-"""What the names of parameters begin with that are probabilities of stages to begin in."""
 FORCE_COLOUR = (0.84, 0.1, 0.5, 1.0)
 LONGEST_AGE = 0.15
 """s; the largest latency and jitter of a robot, together."""

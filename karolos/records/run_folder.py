@@ -17,6 +17,7 @@ from time import monotonic
 from typing import Any
 
 from .. import system
+from ..core.environment import STAGE
 from ..errors import MachineError, RunError, recorded, redact
 from ..files import (
     UNFINISHED,
@@ -56,8 +57,6 @@ LOCK_SECONDS = 0.5
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
 ROBOT = "robot"
 """Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
-STAGE = "task.start_"
-"""What the names of parameters begin with that say whether a training episode began in a stage."""
 STAGE_EPISODES, EPISODE_BYTES = 500, 1000
 """Training episodes that the success by stage is of, and the largest usual length of a line of one."""
 DAMAGED_SPEC = "missing, damaged or changed"

@@ -13,6 +13,10 @@ from ..readings import Reading, SetPoint
 GROUP = "karolos_deploy.drivers"
 
 
+TCP_TOLERANCE = 0.01
+"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
+
+
 class Driver:
     """The contract of a driver.
 
@@ -40,6 +44,8 @@ class Driver:
             known = ", ".join(f"{name}={value}" for name, value in self.settings.items())
             raise BundleError(f"the driver has no setting {', '.join(unknown)}; it has {known}")
         self.values = {**self.settings, **settings}
+        if self.values.get("host") == "":
+            raise BundleError("the address of the controller is missing: --set host=...")
         if (mode := bundle.contract["control"]["mode"]) not in self.modes:
             raise BundleError(f"this driver cannot follow {mode} control; it follows {', '.join(self.modes)}")
 

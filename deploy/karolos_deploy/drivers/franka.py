@@ -15,7 +15,7 @@ import numpy as np
 from ..bundle import Bundle, BundleError
 from ..faults import Fault
 from ..readings import RUNNING, Reading, SetPoint
-from . import Driver
+from . import TCP_TOLERANCE, Driver
 from .sensors import Sensors
 
 STATES = {"UserStopped": "emergency stop", "Reflex": "reflex", "Guiding": "guided by hand", "Other": "not ready"}
@@ -28,8 +28,6 @@ WATCHDOG = 100
 """Milliseconds after the last set point in which the robot begins to stop."""
 SILENCE = 0.5
 """Seconds without news of the controller's clock after which the connection is lost."""
-TCP_TOLERANCE = 0.01
-"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
 GRIPPER_SPEED = 0.1
 """m/s."""
 
@@ -50,8 +48,6 @@ class Franka(Driver):
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         super().__init__(bundle, settings)
-        if not self.values["host"]:
-            raise BundleError("the address of the controller is missing: --set host=...")
         self._robot: Any = None
         self._hand: Any = None
         self._sensors: Any = None

@@ -19,7 +19,7 @@ from ..faults import Fault
 from ..kinematics import turn_of, turned_by
 from ..motion import shortened
 from ..readings import RUNNING, Reading, SetPoint
-from . import Driver
+from . import TCP_TOLERANCE, Driver
 from .sensors import Sensors
 
 VARIABLES = [
@@ -38,8 +38,6 @@ PLAYING = 2
 """Runtime state of a controller whose program runs."""
 DECELERATION = 5.0
 """Of a controlled stop, rad/s2."""
-TCP_TOLERANCE = 0.01
-"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
 
 
 class UR(Driver):
@@ -57,8 +55,6 @@ class UR(Driver):
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         super().__init__(bundle, settings)
-        if not self.values["host"]:
-            raise BundleError("the address of the controller is missing: --set host=...")
         self._impedance = bundle.contract["control"]["mode"] == "impedance"
         self._receive: Any = None
         self._control: Any = None

@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from ...core import random_actions
-from ...environments.robot_task import STAGE, RobotTask
+from ...core.environment import STAGE
+from ...environments.robot_task import RobotTask
 from ...evaluation.playing import evaluate
 from ...evaluation.policies import expert_policy, random_policy
 from .case import Candidate, Promises, demand, demand_same
