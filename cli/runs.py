@@ -219,6 +219,7 @@ def show(
     json: Json = False,
 ) -> None:
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
+    from karolos.core.environment import STAGE
     from karolos.records import RunFolder
     from karolos.store.query import existing, find_meant
 
@@ -233,7 +234,7 @@ def show(
             folder = RunFolder.open(summary.folder)
             record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
             transfers, unreadable = folder.transfers()
-            stages = folder.stages()
+            stages = folder.stages(STAGE)
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
         else:

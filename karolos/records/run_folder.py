@@ -17,7 +17,6 @@ from time import monotonic
 from typing import Any
 
 from .. import system
-from ..core.environment import STAGE
 from ..errors import MachineError, RunError, recorded, redact
 from ..files import (
     UNFINISHED,
@@ -327,18 +326,19 @@ class RunFolder:
         """Append the records of training episodes, JSON values each."""
         append_lines(self.path / "episodes.jsonl", episodes)
 
-    def stages(self, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
+    def stages(self, prefix: str, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
         """Of the last training episodes: stage that they began in -> how many did, and how many of these succeeded.
 
+        prefix: what the names of stages' parameters begin with (`core.environment.STAGE`, which imports NumPy).
         "start" are those that began as tests do. The easiest comes first. Empty where none begins further on.
         """
         found: dict[str, tuple[int, int]] = {}
         start = self.episodes_bytes() - episodes * EPISODE_BYTES
         for row in new_lines(self.path / "episodes.jsonl", max(start, 0))[0][-episodes:]:
-            chances = {name: drawn for name, drawn in row.get("parameters", {}).items() if name.startswith(STAGE)}
+            chances = {name: drawn for name, drawn in row.get("parameters", {}).items() if name.startswith(prefix)}
             if not chances or not {0.0, 1.0}.issuperset(chances.values()):
                 return {}  # version 0.2 recorded the probabilities
-            stage = next((name.removeprefix(STAGE) for name, drawn in chances.items() if drawn), "start")
+            stage = next((name.removeprefix(prefix) for name, drawn in chances.items() if drawn), "start")
             played, succeeded = found.get(stage, (0, 0))
             found[stage] = played + 1, succeeded + row["end"]
         return dict(sorted(found.items(), key=lambda one: -one[1][1] / one[1][0]))

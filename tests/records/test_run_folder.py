@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.run_samples import SPEC, new_run, result
 
+from karolos.core.environment import STAGE
 from karolos.errors import MachineError, RunError
 from karolos.files import read_values
 from karolos.records import RunFolder, run_folder, scan
@@ -234,11 +235,11 @@ def test_timestamps_sort_like_times(first: datetime, later: timedelta, hours: in
 
 def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(tmp_path: Path) -> None:
     run = new_run(tmp_path)
-    assert run.stages() == {}
+    assert run.stages(STAGE) == {}
     begun = [(1.0, 0.0, True), (0.0, 1.0, False), (0.0, 0.0, True), (1.0, 0.0, False)] * 3
     names = "task.start_grasped", "task.start_near"
     rows = [{"end": end, "parameters": dict(zip(names, drawn, strict=True)) | {"x": 3.0}} for *drawn, end in begun]
     run.add_episodes(rows)
-    assert run.stages(4) == {"grasped": (2, 1), "near": (1, 0), "start": (1, 1)}
+    assert run.stages(STAGE, 4) == {"grasped": (2, 1), "near": (1, 0), "start": (1, 1)}
     run.add_episodes([{"end": True, "parameters": {"task.start_near": 0.6}}])
-    assert run.stages() == {}, "version 0.2 recorded the probability"
+    assert run.stages(STAGE) == {}, "version 0.2 recorded the probability"
