@@ -154,7 +154,6 @@ def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
     arm, task = arm_of(environment), environment.task
     settings, facts = arm.settings, arm.facts()
     gripper = settings.gripper or arm.model.gripper
-    held = getattr(task.settings, "peg_mass", 0.0) if task.uses_gripper == "closed" else 0.0
     stop = settings.protective_stop
     stop = stop if isinstance(stop, ProtectiveStop) else ProtectiveStop.model_validate({})
     force = min(stop.force or inf, getattr(task.settings, "force_limit", inf))
@@ -170,7 +169,7 @@ def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
         "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
         "spring": facts.get("spring"),
     }
-    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + held
+    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + task.held_mass
     return {
         "robot": {"name": name, "gripper": gripper, "payload": payload},
         "kinematics": {"base": list(arm.base), "links": arm.chain.links.tolist(), "damping": arm.chain.damping},

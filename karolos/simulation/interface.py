@@ -640,6 +640,8 @@ class Task(ABC):
     closed around what the task puts between its fingers, and no action opens it."""
     fingers: ClassVar[float] = 0.0
     """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
+    held_mass: float = 0.0
+    """kg of what a gripper that stays closed holds: a robot's controller is told it as payload. Set in `fit`."""
     control: ClassVar[ControlMode] = "cartesian"
     """The default of the robot's control mode. Actions change joint positions (joint), the position of a tool that
     points down (cartesian), its whole pose (pose), or the set point of a spring that moves the tool (impedance)."""

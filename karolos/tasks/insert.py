@@ -184,6 +184,7 @@ class Insert(Task):
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
         self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
+        self.held_mass = self.settings.peg_mass
         if self._opening > 0.9:
             raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
         if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):

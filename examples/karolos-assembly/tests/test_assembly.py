@@ -68,6 +68,7 @@ def test_a_policy_leaves_as_a_bundle_that_moves_the_simulated_robot(tmp_path: Pa
     (run,) = Experiment(load_spec(smoke)).run(tmp_path / "runs").runs
     bundle = Bundle(export_bundle(RunFolder.open(run.folder), tmp_path / "bundle").folder)
     assert bundle.replay_episode() == 50
+    assert bundle.contract["robot"]["payload"] == pytest.approx(0.0265, abs=0.02), "the plug; the hand belongs to the arm"
     driver = Simulation(bundle, {"clock": "simulated"})
     executor = Executor(bundle, driver, rate=125)
     executor.check()
