@@ -28,7 +28,7 @@ class DDPG(ActorCritic):
 
     class Settings(ActorCriticSettings):
         noise: ScaledNoiseSettings = Setting(default_factory=ScaledNoiseSettings, description="on exploring actions")
-        random_actions: float = Setting(0.3, ge=0, le=1, description="share of exploring actions drawn uniformly")
+        random_actions: float = Setting(0.3, ge=0, le=1, description="share of uniformly random exploring actions")
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
     stored: tuple[str, ...] = (*learned, "noise", "updates")

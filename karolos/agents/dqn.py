@@ -34,13 +34,17 @@ class DQN(TorchAgent):
     """
 
     class Settings(OptimiserSettings):
-        learning_rate: float = Setting(3e-4, gt=0, description="of the network (Adam)")
-        discount: float = Setting(0.99, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
+        learning_rate: float = Setting(3e-4, gt=0, description="learning rate of the network (Adam)")
+        discount: float = Setting(
+            0.99, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+        )
         hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
         double_q: bool = Setting(True, description="the online network chooses the next action, not the target network")
         dueling: bool = Setting(False, description="separate outputs for the state's value and the actions' advantages")
         tau: float = Setting(0.005, gt=0, le=1, description="step of the target network each time it is updated")
-        target_interval: int = Setting(1, ge=1, description="updates between two of the target network; tau: 1 copies")
+        target_interval: int = Setting(
+            1, ge=1, description="updates of the network per update of the target network; tau: 1 copies it"
+        )
         epsilon_start: float = Setting(1.0, ge=0, le=1, description="share of random exploring actions at the start")
         epsilon_end: float = Setting(0.05, ge=0, le=1, description="share of random exploring actions at the end")
         epsilon_steps: int = Setting(5_000, ge=0, description="exploring environment steps until epsilon_end, linearly")
@@ -50,7 +54,7 @@ class DQN(TorchAgent):
             True, description="clip targets to the values that the declared reward range allows"
         )
         precision: Precision = Setting(
-            "float32", description="of matrix products while learning; the values of actions often differ by 1 %"
+            "float32", description="for matrix products while learning; the values of actions often differ by 1 %"
         )
 
         @model_validator(mode="after")

@@ -26,7 +26,7 @@ class NoiseSettings(BaseSettings):
     kind: Literal["gaussian", "ornstein_uhlenbeck", "state_dependent"] = Setting(
         default="gaussian",
         description="gaussian: independent at each step; ornstein_uhlenbeck: correlated over an episode; "
-        "state_dependent: a random function of the observation, drawn again at intervals",
+        "state_dependent: a random function of the observation, sampled again at intervals",
     )
     theta: float | None = Setting(
         default=None,
@@ -35,7 +35,7 @@ class NoiseSettings(BaseSettings):
         description=f"ornstein_uhlenbeck: share of the noise that decays per step; null: {THETA}",
     )
     interval: int | None = Setting(
-        default=None, ge=1, description=f"state_dependent: steps between two draws of the function; null: {INTERVAL}"
+        default=None, ge=1, description=f"state_dependent: steps until the function is sampled again; null: {INTERVAL}"
     )
 
     @model_validator(mode="after")
@@ -49,7 +49,7 @@ class NoiseSettings(BaseSettings):
 class ScaledNoiseSettings(NoiseSettings):
     """Settings of noise on a deterministic policy's actions."""
 
-    std: float = Setting(default=0.2, ge=0, description="standard deviation of each action column, for every kind")
+    std: float = Setting(default=0.2, ge=0, description="standard deviation per action column, for every kind")
 
 
 class Noise:

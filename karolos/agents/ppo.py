@@ -56,11 +56,15 @@ class PPO(TorchAgent[Rollout]):
     """
 
     class Settings(OptimiserSettings):
-        discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
-        trace_decay: float = Setting(0.95, ge=0, le=1, description="lambda of advantages: 0 trusts values, 1 rewards")
-        clip: float = Setting(0.2, gt=0, description="bound of the probability ratio's distance from 1")
+        discount: float = Setting(
+            0.95, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+        )
+        trace_decay: float = Setting(
+            0.95, ge=0, le=1, description="lambda of advantages; 0 relies on values, 1 on rewards"
+        )
+        clip: float = Setting(0.2, gt=0, description="largest distance of the probability ratio from 1")
         value_clip: float | None = Setting(
-            None, gt=0, description="bound of a value's change per rollout, in spreads of the returns; null: unbounded"
+            None, gt=0, description="largest change of a value per rollout, in spreads of the returns; null: unlimited"
         )
         entropy: float = Setting(0.0, ge=0, description="weight of the policy's entropy (nats)")
         epochs: int = Setting(10, ge=1, le=10_000, description="passes through each rollout")
@@ -68,13 +72,13 @@ class PPO(TorchAgent[Rollout]):
             8, ge=1, le=10**6, description="gradient updates per epoch, each from a share of the rollout"
         )
         target_kl: float | None = Setting(
-            None, gt=0, description="stop learning from a rollout once the policy has moved 1.5 times this; null: never"
+            None,
+            gt=0,
+            description="stop learning from a rollout when the KL divergence exceeds 1.5 times this; null: never",
         )
-        gradient_norm: float | None = Setting(
-            0.5, gt=0, description="longer gradients are clipped to this; null: never"
-        )
+        gradient_norm: float | None = Setting(0.5, gt=0, description="clip gradients to this norm; null: no clipping")
         hidden: Hidden = Setting((64, 64), description="units of each hidden layer")
-        std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
+        std: float = Setting(1.0, gt=0, description="initial standard deviation of continuous actions")
 
     on_policy: ClassVar[bool] = True
     shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal")

@@ -42,21 +42,21 @@ Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting
 class OptimiserSettings(AgentSettings):
     """Settings of every agent that optimises with Adam."""
 
-    learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
+    learning_rate: float = Setting(1e-3, gt=0, description="learning rate of all networks (Adam)")
     learning_rate_end: float | None = Setting(
         None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
     )
     learning_rate_updates: int | None = Setting(
-        None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
+        None, ge=1, description="updates of the agent until learning_rate_end; policy_delay has no influence"
     )
     fine_goal: float | None = Setting(
         None,
         gt=0,
         le=100,
-        description="networks also see desired minus achieved goal, divided by its spread and multiplied by this "
-        "(bounded by tanh), where observations have the achieved goal; null: they do not",
+        description="a further input of the networks: desired minus achieved goal, divided by its standard deviation, "
+        "multiplied by this and bounded by tanh, if observations have the achieved goal; null: none",
     )
-    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
+    gradient_norm: float | None = Setting(None, gt=0, description="clip gradients to this norm; null: no clipping")
 
     @model_validator(mode="after")
     def _schedule_is_whole(self) -> Any:

@@ -49,19 +49,19 @@ class Augmentation:
     """
 
     class Settings(BaseSettings):
-        mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
+        mirror: bool = Setting(True, description="mirror half of the transitions at the plane y = 0 of the world")
         shift: float = Setting(
-            0.1, ge=0, le=10, description="largest move of each transition along x and y of the world, m"
+            0.1, ge=0, le=10, description="largest shift of a transition along x and y of the world, m"
         )
         lift: float = Setting(
             0.0,
             ge=0,
             le=10,
             json_schema_extra=LATER,
-            description="largest move of each transition along z, m; for tasks in which nothing stands on the floor",
+            description="largest shift of a transition along z, m; only for tasks in which nothing stands on the floor",
         )
         batches: int | None = Setting(
-            None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
+            None, ge=1, description="number of batches to change; later batches are left as they are; null: change all"
         )
 
     def __init__(self, settings: Augmentation.Settings, signature: Signature) -> None:

@@ -43,18 +43,18 @@ class Hindsight:
             0.0,
             ge=0,
             le=1,
-            description="share of the new goals that the transition itself achieves, whatever the strategy: such a "
-            "transition shows at once what its action brings about",
+            description="share of the new goals that the transition itself achieves, with every strategy: such a "
+            "transition shows the effect of its action at once",
         )
         min_displacement: float = Setting(
             0.01,
             ge=0,
-            description="keep the original goal if the new one is closer than this (in the goal's unit) to the goal "
-            "achieved before the transition: nothing moved, so there is nothing to learn; 0: always relabel",
+            description="keep the original goal if the new goal is closer than this to the goal achieved before the "
+            "transition (in the goal's unit): nothing moved, so there is nothing to learn; 0: always relabel",
         )
         imitate: bool = Setting(
             False,
-            description="relabelled transitions enter the agent's imitation term, as demonstrations do; needs "
+            description="the agent imitates relabelled transitions in the same way as demonstrations; needs "
             "agent.imitation",
         )
 

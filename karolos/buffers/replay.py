@@ -42,11 +42,11 @@ class Replay(Buffer):
         capacity: int = Setting(
             1_000_000, ge=1, le=10**12, description="largest number of transitions, over all environments"
         )
-        hindsight: Hindsight.Settings | None = Setting(None, description="goals relabelled when sampling; null: off")
+        hindsight: Hindsight.Settings | None = Setting(None, description="replaces goals when sampling; null: off")
         augmentation: Augmentation.Settings | None = Setting(
-            None, description="sampled transitions mirrored, and moved along the floor; null: off"
+            None, description="mirrors and moves sampled transitions; null: off"
         )
-        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
+        n_step: int = Setting(1, ge=1, le=100, description="most environment steps of a sampled transition")
 
     on_policy: ClassVar[bool] = False
 

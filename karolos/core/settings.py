@@ -36,13 +36,13 @@ class AgentSettings(Settings):
     """Base of every agent's nested `Settings`."""
 
     start_from: str | None = Setting(
-        None, description="id or folder of a run or a policy that ships whose weights to start from, without optimisers"
+        None, description="start from the weights of this run or shipped policy (id or folder), without its optimisers"
     )
-    start_checkpoint: Literal["best", "last"] = Setting("best", description="the checkpoint of that run")
+    start_checkpoint: Literal["best", "last"] = Setting("best", description="checkpoint of that run")
     start_sha256: str | None = Setting(
         None,
         pattern="^[0-9a-f]{64}$",
-        description="of that checkpoint's agent; null: not checked, and filled in when the run starts",
+        description="sha256 of that checkpoint's agent; null: not checked, and filled in when the run starts",
     )
 
     @model_validator(mode="after")

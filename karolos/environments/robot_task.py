@@ -57,17 +57,16 @@ class RobotTask(Environment):
         engine: Engine = Setting("mujoco", description="physics engine")
         substeps: int = Setting(10, ge=1, le=100, description="length of a control step in 1/240 s; 10 make 24 Hz")
         physics_rate: Literal[240, 480, 720, 960] = Setting(
-            PHYSICS_RATE, description="physics steps per second; more cost as much more and hardly change what happens"
+            PHYSICS_RATE,
+            description="physics steps per second; computing time is proportional, the motion hardly changes",
         )
         actions: Literal["continuous", "discrete"] = Setting(
-            "continuous", description="discrete: one full step along each action axis in both directions, and nothing"
+            "continuous", description="discrete: one full step along each action axis in both directions, or no motion"
         )
         omit: tuple[str, ...] = Setting(
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
-        critic_observes: tuple[str, ...] = Setting(
-            (), description="further fields that critics alone observe, of those that the task offers"
-        )
+        critic_observes: tuple[str, ...] = Setting((), description="fields of the task that only the critics observe")
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:

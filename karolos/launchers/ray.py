@@ -55,13 +55,13 @@ class RayLauncher(Launcher):
     """
 
     class Settings(BaseSettings):
-        cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
+        cpus: int = Setting(default=1, ge=1, description="cores of a run; two or more: tests run during training")
         gpus: float = Setting(default=0, ge=0, description="GPUs of a run; a fraction shares one")
         address: str | None = Setting(
             default=None,
-            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",
+            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first that exists",
         )
-        max_retries: int = Setting(default=3, ge=0, description="how often a run is resumed after its machine was lost")
+        max_retries: int = Setting(default=3, ge=0, description="resumptions of a run after its machine is lost")
 
     poll_seconds: ClassVar[float] = 0.5
 

@@ -53,11 +53,11 @@ class SlurmLauncher(Launcher):
     """
 
     class Settings(BaseSettings):
-        cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
+        cpus: int = Setting(default=1, ge=1, description="cores of a run; two or more: tests run during training")
         gpus: int = Setting(default=0, ge=0, description="GPUs of a run")
-        time: str | None = Setting(default=None, description="time limit of a job, as sbatch takes it, e.g. 4:00:00")
-        partition: str | None = Setting(default=None, description="of Slurm; null: its default")
-        options: tuple[str, ...] = Setting(default=(), description="further options of sbatch, e.g. --account=me")
+        time: str | None = Setting(default=None, description="time limit of a job, as for sbatch, e.g. 4:00:00")
+        partition: str | None = Setting(default=None, description="partition of Slurm; null: its default")
+        options: tuple[str, ...] = Setting(default=(), description="more options of sbatch, e.g. --account=me")
 
     poll_seconds: ClassVar[float] = 2.0
 

@@ -33,14 +33,14 @@ class Limits(BaseSettings):
     time_limit: float = Setting(
         default=60.0,
         gt=0,
-        description="seconds that one reset or step may take before its worker is killed and replaced; "
-        "no limit with `processes: 0`",
+        description="largest time of one reset or step in seconds; after it the worker is killed and replaced. No "
+        "limit with `processes: 0`",
     )
     failures: int = Setting(
         default=5,
         ge=0,
-        description="consecutive failures of an environment (an error or a lost worker) that are replaced; "
-        "one more ends the run. A completed episode resets the count",
+        description="largest number of consecutive failures of an environment (an error or a lost worker) that are "
+        "replaced; one more ends the run. A completed episode resets the count",
     )
 
 

@@ -75,7 +75,7 @@ class Ray(Local):
         environments: int = Setting(default=4, ge=1, le=1024, description="environments per worker")
         address: str | None = Setting(
             default=None,
-            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",
+            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first that exists",
         )
 
         @property

@@ -64,7 +64,7 @@ class Normal(Distribution):
 
     class Settings(BaseSettings):
         mean: float = Setting(description="in the parameter's unit")
-        std: float = Setting(ge=0, description="standard deviation, in the parameter's unit")
+        std: float = Setting(ge=0, description="standard deviation in the parameter's unit")
 
     def draw(self, generator: Generator) -> float:
         return float(generator.normal(self.settings.mean, self.settings.std))

@@ -37,27 +37,25 @@ class FromFile(Arm):
         """The settings of every arm, and those that take the place of an assumption."""
 
         file: str = Setting(
-            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder, or "
-            "of a package: installed:PACKAGE/PATH"
+            description="a URDF or MJCF file: a path relative to the spec (in overrides: to the current folder), or "
+            "installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
-            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
+            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as in the file"
         )
-        tool: str | None = Setting(None, description="the link of the tool frame, z forwards; null: by usual names")
-        flange: str | None = Setting(
-            None, description="the link that carries a gripper, z away from the arm; null: found"
-        )
+        tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
+        flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
         flange_yaw: float | None = Setting(
             None, ge=-7, le=7, description="turn of a gripper about the flange's z, rad; null: its fingers close across"
         )
         home: tuple[float, ...] | None = Setting(
-            None, description="joint positions with the tool pointing down, rad; null: by inverse kinematics"
+            None, description="joint positions in which the tool points down, rad; null: by inverse kinematics"
         )
         workspace: tuple[Vector, Vector] | None = Setting(
             None,
-            description="lower and upper corner of what the tool reaches pointing down, m; null: as far as it does",
+            description="lower and upper corner of the tool's reach while it points down, m; null: computed",
         )
-        payload: float | None = Setting(None, gt=0, description="what the flange carries, gripper included, kg")
+        payload: float | None = Setting(None, gt=0, description="largest load of the flange with the gripper, kg")
 
     settings: Settings
 

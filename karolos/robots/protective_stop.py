@@ -22,13 +22,13 @@ class ProtectiveStop(Settings):
     """Limits beyond which an arm stops."""
 
     force: float | None = Setting(
-        150.0, gt=0, description="largest force of a body or another link on a link in a physics step, N; null: any"
+        150.0, gt=0, description="largest force of a body or another link on a link in a physics step, N; null: off"
     )
     torque: float | None = Setting(
-        1.0, gt=0, le=1, description="fraction of its largest torque that no motor needs for `seconds`; null: any"
+        1.0, gt=0, le=1, description="largest torque of a motor for `seconds`, as a fraction of its limit; null: off"
     )
-    seconds: float = Setting(0.25, gt=0, le=10, description="for how long a motor has that torque before the arm stops")
-    ends: bool = Setting(True, description="whether a stop ends the episode without success; false: it is counted")
+    seconds: float = Setting(0.25, gt=0, le=10, description="time with more than that torque after which the arm stops")
+    ends: bool = Setting(True, description="whether a stop ends the episode without success; false: it is only counted")
 
 
 class Guard:

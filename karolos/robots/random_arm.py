@@ -101,7 +101,7 @@ class RandomArm(Arm):
     class Settings(ArmSettings):
         """The settings of every arm, and its number."""
 
-        arm: int = Setting(ge=0, le=1_000_000, description="which arm; each number is another one")
+        arm: int = Setting(ge=0, le=1_000_000, description="number of the arm; each number gives another arm")
 
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:

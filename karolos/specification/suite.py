@@ -26,15 +26,15 @@ from .tree import Node, nested, refusal, refuse, shown
 class SuiteEntry(Settings):
     """One spec of a suite."""
 
-    spec: str = Setting(description="a spec file, relative to the suite's, or the name of one that ships")
+    spec: str = Setting(description="spec: a path relative to the suite's file, or the name of a shipped spec")
     overrides: dict[str, Any] = Setting({}, description="settings of this spec, e.g. training.steps: 1e5")
 
 
 class SuiteFile(Settings):
     """The content of a suite file. An entry of `specs` may be the spec alone."""
 
-    name: Name = Setting(description="default: the file's name")
-    specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="what is trained")
+    name: Name = Setting(description="name of the suite. Default: the file's name")
+    specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="the specs to train")
     overrides: dict[str, Any] = Setting({}, description="settings of all specs, e.g. seeds: [0, 1, 2]")
     measures: tuple[str, ...] = Setting((), description="measures that the report shows; empty: all")
 

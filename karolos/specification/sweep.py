@@ -108,7 +108,7 @@ class SweepParameter(Settings):
     log: bool = Setting(False, description="whether to sample the logarithm uniformly")
     points: Whole | None = Setting(None, ge=2, le=10_000, description="number of values of a range in a grid")
     when: dict[str, Any] = Setting(
-        {}, description="search only in trials in which these choices have this value, or one of these values"
+        {}, description="search only in trials in which these settings have this value, or one of these values"
     )
 
     @model_validator(mode="after")
@@ -187,9 +187,9 @@ class Pruner(Settings):
 
     name: Literal["median"] = Setting("median", description="stop a trial whose best test so far is below the median")
     warmup: float = Setting(
-        0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; 0.3 at least"
+        0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; at least 0.3"
     )
-    startup: int = Setting(5, ge=1, le=10**6, description="trials that have to be complete before one is stopped")
+    startup: int = Setting(5, ge=1, le=10**6, description="number of complete trials before a trial can be stopped")
 
 
 class FinalSettings(Settings):
@@ -198,10 +198,10 @@ class FinalSettings(Settings):
     Source: Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them".
     """
 
-    top: int = Setting(3, ge=1, le=1000, description="number of best trials to choose from")
-    seeds: int = Setting(3, ge=1, le=1000, description="number of new seeds to choose by")
+    top: int = Setting(3, ge=1, le=1000, description="number of best trials that are tested on new seeds")
+    seeds: int = Setting(3, ge=1, le=1000, description="number of new seeds that decide between them")
     report_seeds: int = Setting(
-        5, ge=1, le=1000, description="number of further seeds, on which the chosen trial is reported"
+        5, ge=1, le=1000, description="number of other new seeds, on which the chosen trial is reported"
     )
 
 
@@ -224,10 +224,10 @@ class Sweep(Settings):
     )
     seeds: Seeds = Setting((0, 1), description="seeds of every trial")
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
-        "success_end", description=f"one or several of {', '.join(OBJECTIVES)}, measures.NAME"
+        "success_end", description=f"one or more of {', '.join(OBJECTIVES)}, measures.NAME"
     )
     sampler: Literal["tpe", "gp", "random", "grid"] = Setting(
-        "tpe", description="Parzen estimators, Gaussian process, random values, or every combination (100,000 at most)"
+        "tpe", description="Parzen estimators, Gaussian process, random values, or all combinations (at most 100,000)"
     )
     pruner: Pruner | None = Setting(None, description="stops trials early; null: off")
     seed: Seed = Setting(0, description="root of the sampler's random numbers")
@@ -448,17 +448,17 @@ class Transfer(Settings):
 
     robots: tuple[str, ...] | None = Setting(None, description="names of the robots to transfer between")
     variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[VariantKey, Any]] | None = Setting(
-        None, description="instead of robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
+        None, description="alternative to robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
     )
     modes: tuple[Mode, ...] = Setting(
         ("zero_shot", "fine_tune", "scratch"),
-        description="zero_shot: test a source's policy on the target; fine_tune: train it on there; "
-        "scratch: compare fine-tuning with the target's own training",
+        description="zero_shot: test a source's policy on the target; fine_tune: train it further on the target; "
+        "scratch: compare fine-tuning with training on the target from scratch",
     )
     fine_tune: dict[FineTuneKey, Any] = Setting(
         {}, description="settings of fine-tuning that differ from the spec's, e.g. training.steps: 100000"
     )
-    threshold: float = Setting(0.95, gt=0, le=1, description="success ratio for the time to threshold")
+    threshold: float = Setting(0.95, gt=0, le=1, description="success ratio that defines the time to threshold")
 
     @model_validator(mode="after")
     def _consistent(self) -> Any:

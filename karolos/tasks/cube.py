@@ -48,16 +48,16 @@ class CubeSettings(BaseSettings):
 
     object_size: float = Setting(0.04, ge=0.01, le=0.2, description="edge of the cube, m")
     object_mass: Annotated[float, Drawn("kg", 0.01, 2.0)] = Setting(
-        0.1, gt=0, le=5, description="of the cube, kg; its inertia is proportional"
+        0.1, gt=0, le=5, description="mass of the cube, kg; its inertia is proportional to the mass"
     )
     object_friction: Annotated[float, Drawn("1", 0.0, 5.0)] = Setting(
         1.0, ge=0, le=5, description="lateral friction coefficient of the cube"
     )
     object_stiffness: float | None = Setting(
-        None, ge=1e3, le=1e8, description="of each contact of the cube, N/m; null: 4e5 (MuJoCo), or as PyBullet can"
+        None, ge=1e3, le=1e8, description="stiffness of the cube's contacts, N/m; null: 4e5 (MuJoCo), or PyBullet's own"
     )
     force_penalty: ForcePenalty | None = Setting(
-        None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
+        None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
     )
 
 

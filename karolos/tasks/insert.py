@@ -112,30 +112,30 @@ class Insert(Task):
     class Settings(Settings):
         shape: Literal["square", "round", "connector"] = Setting(
             "square",
-            description="of peg and hole: square 20 x 20 mm, round with a diameter of 16 mm, or connector, a plug of "
-            "24 x 16 mm with a ridge, which fits one way round",
+            description="of peg and hole; square: 20 x 20 mm; round: diameter 16 mm; connector: a plug of 24 x 16 mm with "
+            "a ridge, which fits one way round",
         )
-        play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
-        chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
+        play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole minus width of the peg, m")
+        chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the hole's chamfer, m")
         hole_error: Annotated[float, Drawn("m", 0.0, 0.0)] = Setting(
             0.0,
             ge=0,
             le=0.005,
-            description="largest error along x and y of the hole as it is known, m; randomization samples up to it",
+            description="largest error of the known hole position along x and y, m; randomization samples up to it",
         )
         hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.0)] = Setting(
-            0.0, ge=0, le=0.1, description="largest error of its turn, rad; randomization samples up to it"
+            0.0, ge=0, le=0.1, description="largest error of its known turn, rad; randomization samples up to it"
         )
-        peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
+        peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="mass of the peg, kg")
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
             0.3, ge=0, le=2, description="lateral friction coefficient between peg and block"
         )
         force_limit: Annotated[float, Drawn("N", 1.0, 10_000.0)] = Setting(
-            50.0, gt=0, description="force on peg or arm beyond which an episode fails, N"
+            50.0, gt=0, description="largest force on peg or arm, N; more fails the episode"
         )
         force_penalty: ForcePenalty | None = Setting(
             ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
-            description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
+            description="cost of pressing: of the largest force on peg or arm, without the grip; null: none",
         )
         start_inserted: Probability = start("the peg partly in the hole")
         start_near: Probability = start("the peg a part of the way from the hole")

@@ -81,19 +81,21 @@ class Open(Task):
     """
 
     class Settings(BaseSettings):
-        mechanism: Literal["drawer", "door"] = Setting("drawer", description="what is opened and closed")
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+        mechanism: Literal["drawer", "door"] = Setting("drawer", description="fixture to open and close")
+        reward: Literal["sparse", "dense"] = Setting(
+            "sparse", description="-1 until success, or minus the distance in m"
+        )
         threshold: float = Setting(0.01, gt=0, le=0.05, description="distance at which a drawer's goal is reached, m")
         angle_threshold: float = Setting(
-            pi / 60, gt=0, le=0.5, description="angle at which a door's goal is reached, rad; the default is 3 degrees"
+            pi / 60, gt=0, le=0.5, description="angle at which a door's goal is reached, rad; default: 3 degrees"
         )
         handle_width: float = Setting(
-            0.07, ge=0.04, le=0.1, description="edge of the square behind the bar of the handle, m"
+            0.07, ge=0.04, le=0.1, description="space behind the bar of the handle: edge of a square, m"
         )
         friction: Annotated[float, Drawn("1", 0.0, 3.0)] = Setting(
             0.5, ge=0, le=5, description="lateral friction coefficient of drawer or door and handle"
         )
-        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of what moves, kg")
+        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of the moving part, kg")
         joint_friction: Annotated[float, Drawn("N", 0.0, 20.0)] = Setting(
             3.0, ge=0, le=50, description="dry friction of the joint, as a force at the handle, N"
         )
@@ -101,7 +103,7 @@ class Open(Task):
             5.0, ge=0, le=200, description="viscous friction of the joint, at the handle, N s/m"
         )
         force_penalty: ForcePenalty | None = Setting(
-            None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
+            None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
         )
         start_hooked: Probability = start("the tool behind the bar of the handle")
         start_near: Probability = start("the tool behind the bar of the handle or above it")

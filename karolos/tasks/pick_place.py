@@ -79,7 +79,7 @@ class PickPlace(PointGoalTask, CarryTask):
     """
 
     class Settings(PointGoalSettings, CubeSettings):
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
+        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until success, or in [-1, 0] by stages")
         start_near: Probability = start("the gripper near the cube")
         start_grasped: Probability = start("the cube in the gripper")
 

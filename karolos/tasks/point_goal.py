@@ -128,10 +128,10 @@ def sample_position(
 class PointGoalSettings(Settings):
     """Settings of every task with a point goal."""
 
-    reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+    reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until success, or minus the distance in m")
     threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
     goals: Literal["box", "workspace"] = Setting(
-        "box", description="goals in a box of .3 m edges in the middle of the workspace, or in all of it"
+        "box", description="goals in a box with edges of 0.3 m in the middle of the workspace, or in all of it"
     )
     max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 

@@ -24,11 +24,11 @@ class ReachPoseSettings(Settings):
     """Settings of reach_pose."""
 
     reward: Literal["sparse", "dense"] = Setting(
-        "sparse", description="-1 until there, or minus the distance in m and .1 m per rad"
+        "sparse", description="-1 until success, or minus the distance in m and .1 m per rad"
     )
     threshold: float = Setting(0.01, gt=0, le=0.5, description="distance at which the position is reached, m")
     angle_threshold: float = Setting(
-        0.0873, gt=0, le=3.15, description="angle at which the orientation is reached, rad; the default is 5 degrees"
+        0.0873, gt=0, le=3.15, description="angle at which the orientation is reached, rad; default: 5 degrees"
     )
     max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 

@@ -59,20 +59,20 @@ class ReorientSettings(CubeSettings):
     """Settings of reorient."""
 
     shape: Literal["box", "cylinder"] = Setting(
-        "box", description="of the object: edges of 1, 4/3 and 2 times its size, or 2 times long and 4/3 thick"
+        "box", description="box: edges of 1, 4/3 and 2 times its size; cylinder: 2 times long and 4/3 thick"
     )
     object_size: float = Setting(0.03, ge=0.015, le=0.05, description="smallest edge of the box, m")
     object_friction: Annotated[float, Drawn("1", 0.3, 5.0)] = Setting(
         1.0, ge=0, le=5, description="lateral friction coefficient of the object"
     )
     reward: Literal["sparse", "dense"] = Setting(
-        "sparse", description="-1 until there, or minus the distance in m and .1 m per rad"
+        "sparse", description="-1 until success, or minus the distance in m and .1 m per rad"
     )
     threshold: float = Setting(0.02, gt=0, le=0.1, description="distance at which the position is reached, m")
     angle_threshold: float = Setting(
-        pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; the default is 15 degrees"
+        pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; default: 15 degrees"
     )
-    lying: Probability = Setting(0.5, description="share of the episodes in which the object lies; else it stands")
+    lying: Probability = Setting(0.5, description="share of episodes in which the object lies; else it stands")
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
     start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")

@@ -16,7 +16,7 @@ from ..simulation.interface import RobotView
 
 def start(how: str) -> Any:
     """The setting of a stage, of the type `Probability`."""
-    return Setting(0.0, description=f"probability that an episode starts with {how}, of those without an earlier stage")
+    return Setting(0.0, description=f"probability that an episode starts with {how}, if it has no earlier stage")
 
 
 def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
@@ -47,9 +47,9 @@ class ForcePenalty(Settings):
     Source: FORGE (Noseworthy et al. 2024, arXiv 2408.04587), where it is .2 times the excess in N.
     """
 
-    limit: float = Setting(50.0, gt=0, description="largest force without a cost, N")
-    weight: float = Setting(1.0, gt=0, description="cost of a force of twice the limit; it grows linearly")
-    most: float = Setting(1.0, gt=0, description="largest cost of a step; a sparse reward of -1 is what time costs")
+    limit: float = Setting(50.0, gt=0, description="largest force that costs nothing, N")
+    weight: float = Setting(1.0, gt=0, description="cost of twice that force; the cost grows linearly")
+    most: float = Setting(1.0, gt=0, description="largest cost of a step; a sparse reward costs 1")
 
     def reward(self, force: float) -> float:
         """In [-most, 0], for the largest force of a step in N."""

@@ -104,22 +104,20 @@ class Slide(CubeTask):
     class Settings(CubeSettings):
         object_size: float = Setting(0.06, ge=0.03, le=0.1, description="diameter of the puck, m; it is half as high")
         object_friction: Annotated[float, Drawn("1", 0.01, 0.02)] = Setting(
-            0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck, times .5 on the floor"
+            0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck; half of it on the floor"
         )
         reward: Literal["sparse", "dense"] = Setting(
             "sparse", description="-1 until it slides there, or minus the distance"
         )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
         reward_share: float = Setting(
-            1.0, gt=0, le=1, description="share of the threshold within which the sparse reward counts"
+            1.0, gt=0, le=1, description="the sparse reward counts within this share of the threshold"
         )
-        share: float = Setting(
-            0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
-        )
-        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
+        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
         start_near: Probability = start("the gripper behind the puck")
         end_out_of_reach: Probability = Setting(
-            0.0, description="probability that an episode ends where no gripper reaches the puck any more"
+            0.0, description="probability that an episode ends as soon as no gripper can reach the puck"
         )
         max_steps: int = Setting(200, ge=1, le=100_000, description="control steps per episode")
 

@@ -37,9 +37,9 @@ NO_GOAL = np.zeros(0, np.float32)
 class InfoMeasure(BaseSettings):
     """A measure in the info of an environment."""
 
-    unit: str = Setting("1", description="e.g. N; 1: a number without unit")
-    better: Literal["smaller", "larger"] = Setting(description="which of two values is better")
-    description: str = Setting("", description="one line")
+    unit: str = Setting("1", description="unit, e.g. N; 1: none")
+    better: Literal["smaller", "larger"] = Setting(description="whether smaller or larger values are better")
+    description: str = Setting("", description="one line that says what is measured")
 
 
 class Gymnasium(Environment):
@@ -64,32 +64,30 @@ class Gymnasium(Environment):
     """
 
     class Settings(BaseSettings):
-        id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
-        kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
-        max_steps: int | None = Setting(
-            None, ge=1, le=10_000_000, description="steps per episode; null: as the id is registered"
-        )
+        id: str = Setting(min_length=1, description='id as in gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
+        kwargs: dict[str, JsonValue] = Setting({}, description="more arguments of gymnasium.make")
+        max_steps: int | None = Setting(None, ge=1, le=10_000_000, description="steps per episode; null: as registered")
         success_return: float | None = Setting(
-            None, description="return from which an episode is a success; null: the id's reward_threshold"
+            None, description="an episode with at least this return is a success; null: the id's reward_threshold"
         )
         reward_range: tuple[float, float] | None = Setting(
             None,
-            description="smallest and largest reward of a step, where known: it bounds the learned values",
+            description="smallest and largest reward of a step, if known; they bound the learned values",
         )
         goals: bool = Setting(False, description="keep the goals of a goal environment, for hindsight")
         success_reward: float | None = Setting(
             None,
-            description="with goals: reward of a step from which the goal is reached; null: the reward where the "
+            description="with goals: a step with at least this reward has reached the goal; null: the reward when the "
             "achieved goal equals the desired one. Needed for dense rewards",
         )
         goal_terminates: bool | None = Setting(
             None,
             description="with goals: whether reaching the goal ends the episode; null: as the environment's "
-            "compute_terminated says, false without one",
+            "compute_terminated says; false if it has none",
         )
-        flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
+        flatten_goals: bool = Setting(False, description="use the goals of a goal environment as observations")
         measures: dict[str, InfoMeasure] = Setting(
-            {}, description="what an episode is measured by: keys of the last step's info, each with unit and better"
+            {}, description="measures of an episode: keys of the last step's info, each with unit and better"
         )
         window: bool = Setting(False, description="show the environment in a window; needs a display")
 
