@@ -112,8 +112,8 @@ class Insert(Task):
     class Settings(Settings):
         shape: Literal["square", "round", "connector"] = Setting(
             "square",
-            description="of peg and hole; square: 20 x 20 mm; round: diameter 16 mm; connector: a plug of 24 x 16 mm with "
-            "a ridge, which fits one way round",
+            description="of peg and hole; square: 20 x 20 mm; round: diameter 16 mm; connector: a plug of 24 x 16 mm "
+            "with a ridge, which fits one way round",
         )
         play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole minus width of the peg, m")
         chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the hole's chamfer, m")
