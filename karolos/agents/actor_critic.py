@@ -131,7 +131,7 @@ class ActorCritic(TorchAgent):
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
-    """How many of the critics judge the policy's actions; None: all."""
+    """Number of critics that judge the policy's actions; None: all."""
     policy_columns: ClassVar[int] = 1
     """Outputs of the policy network per action column."""
     critic_kind: Critic = Critic()
@@ -151,7 +151,7 @@ class ActorCritic(TorchAgent):
         shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
         self.policy = MLP(shape, self.weights_generator, device)
         self.average = self.policy
-        """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
+        """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky 1992,
         "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
@@ -165,7 +165,7 @@ class ActorCritic(TorchAgent):
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
-        """Raise a UsageError if it is to imitate and nothing shows how, or the reverse."""
+        """Raise a UsageError if the agent shall imitate without anything to imitate, or the reverse."""
         if self.settings.imitation == 0:
             super().check(buffer, demonstrations=demonstrations)
         elif not (demonstrations or buffer.marks_relabelled):

@@ -23,10 +23,10 @@ from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
 class DQN(TorchAgent):
-    """A network that gives the value of each discrete action, and the policy that takes the action of the largest.
+    """A network that predicts the value of each discrete action. The policy takes the action with the largest value.
 
-    Off-policy. Exploring actions are uniform with probability epsilon, drawn for each environment separately; epsilon
-    falls with the environment steps in which the agent explored. Observations and goals are normalised by running
+    Off-policy. Exploring actions are uniform with probability epsilon, sampled for each environment. Epsilon falls with
+    the environment steps in which the agent explored. Observations and goals are normalised by running
     statistics of the batches.
 
     Raises:
@@ -109,7 +109,7 @@ class DQN(TorchAgent):
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of the network, and of the target network when it is its turn."""
+        """One update of the network, and in every `target_interval`-th update of the target network."""
         update = self.updates
         data = self.begin_update(batch, update)
         self.updates += 1
@@ -171,5 +171,5 @@ class DQN(TorchAgent):
         return by_output.scatter_add_(1, index + 1, column)
 
     def deployed(self) -> Deployed:
-        """The action of the largest value, which with a dueling network is that of the largest advantage."""
+        """The action with the largest value. In a dueling network it has the largest advantage, too."""
         return self.policy_arrays(self.network, "argmax", slice(int(self.settings.dueling), None))

@@ -17,7 +17,7 @@ from ..core import State
 THETA = 0.15
 """Source: Lillicrap et al. 2015, section 7."""
 INTERVAL = 8
-"""A third of a second at 24 Hz; Raffin et al. 2021 draw a new matrix every 4 to 64 steps, by the task."""
+"""A third of a second at 24 Hz. Raffin et al. 2021 sample a new matrix every 4 to 64 steps, depending on the task."""
 
 
 class NoiseSettings(BaseSettings):
@@ -59,7 +59,7 @@ class Noise:
     ornstein_uhlenbeck: x' = (1 - theta) x + sqrt(theta (2 - theta)) e with e ~ N(0, 1) (Uhlenbeck, Ornstein 1930, at
         steps of 1). It starts standard normal and stays so.
     state_dependent: M^T z / |z|, with the normalised inputs and a 1 as features z, and a matrix M of standard normal
-        numbers per environment, drawn at the beginning of an episode and every `interval` steps. Generalised
+        numbers per environment, sampled at the beginning of an episode and every `interval` steps. Generalised
         state-dependent exploration (Raffin et al. 2021) learns a standard deviation for each feature. Here the policy
         gives it, so that actions have the density that the policy's loss assumes.
 

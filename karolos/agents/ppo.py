@@ -25,8 +25,7 @@ from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
 PPO_INPUT_CLIP = 10.0
-"""Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
-middle. Source: OpenAI baselines, VecNormalize (clipob)."""
+"""Bound of normalised inputs. Better policies reach states far from the first ones, e.g. a cart far from the middle. Source: OpenAI baselines, VecNormalize (clipob)."""
 KL_SLACK = 1.5
 """Learning from a rollout ends when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up."""
 RELU_GAIN = 2**0.5
@@ -42,17 +41,17 @@ class RolloutBatch(NamedTuple):
     """Log probability of the action under the policy that collected it."""
     advantage: Tensor
     value: Tensor
-    """Under the value network before it learns from the rollout."""
+    """Value by the network before it learns from the rollout."""
     target: Tensor
     """Target of the value: advantage + value."""
 
 
 class PPO(TorchAgent[Rollout]):
-    """Improves the policy on its latest rollout while it stays near the policy that collected the rollout.
+    """Improves the policy on its latest rollout, and keeps it near the policy that collected the rollout.
 
     On-policy; continuous actions (a Gaussian whose actions are stored unclipped) and discrete ones. Observations and
-    goals are normalised by running statistics. These change between rollouts only, so that equal weights are an equal
-    policy from the first step of a rollout to the last update from it.
+    goals are normalised by running statistics. These change only between rollouts. From the first step of a rollout to
+    its last update the same weights therefore mean the same policy.
     """
 
     class Settings(OptimiserSettings):
@@ -113,7 +112,7 @@ class PPO(TorchAgent[Rollout]):
         """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates."""
         transitions, settings = self._transitions(batch), self.settings
         count = len(transitions.action)
-        # Every epoch uses each transition once, in another order. A rollout can be shorter where simulations diverged.
+        # Every epoch uses each transition once, in another order. A rollout is shorter if simulations diverged.
         orders = (
             torch.randperm(count, generator=self.generator, device=self.device).tensor_split(
                 min(settings.minibatches, count)
@@ -143,7 +142,7 @@ class PPO(TorchAgent[Rollout]):
         }
 
     def update(self, minibatch: RolloutBatch) -> dict[str, Tensor] | None:
-        """One gradient step of policy and value; None, without a step, if the policy has moved too far already.
+        """One gradient step of policy and value. Returns None and makes no step if the policy has moved too far.
 
         The policy's loss is L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A) - entropy mean H, with the
         normalised advantages A. Source: Schulman et al. 2017, equations 7 and 9.
@@ -302,9 +301,9 @@ class Gaussian:
         return entropy.expand(len(output))
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
-        """The gradient by the network's output (n, columns), from those by log probabilities (n,) and each entropy.
+        """The gradient by the network's output (n, columns), from those by log probabilities (n,) and by each entropy.
 
-        That by `log_std` is left in `gradient`. With d = (action - output) / std: d log p / d output = d / std,
+        `gradient` holds the gradient by `log_std`. With d = (action - output) / std: d log p / d output = d / std,
         d log p / d log std = d^2 - 1, and d entropy / d log std = 1.
         """
         inverse, column = torch.exp(-self.log_std), by_log_probability.unsqueeze(-1)

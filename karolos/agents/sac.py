@@ -20,7 +20,7 @@ from .squashed_gaussian import SquashedActions, squashed
 
 
 class SAC(ActorCritic):
-    """A stochastic policy that maximises return plus entropy, and two critics, the smaller of which counts.
+    """A stochastic policy that maximises return plus entropy, and two critics, of which the smaller value counts.
 
     Off-policy, continuous actions in [-1, 1]. The temperature, the weight of the entropy, is learned so that the
     policy's entropy comes near a target. Observations and goals are normalised by running statistics of the batches.

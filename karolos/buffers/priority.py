@@ -70,7 +70,7 @@ class Priority(Replay):
         return self._batch(slots, (weights / weights.max()).astype(np.float32), self.storage.identifiers(slots))
 
     def _draw(self, size: int) -> tuple[Slots, Numbers]:
-        """Slots drawn by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
+        """Slots sampled by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
         tree, demonstrated = self._tree, self._demonstrated_count(size)
         total, strata = tree.total, np.arange(size) + self._generator.random(size)
         if demonstrated is None:

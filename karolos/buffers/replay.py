@@ -1,4 +1,4 @@
-"""The base of replay buffers: storage, goals and places changed when sampled, multi-step returns, demonstrations."""
+"""The base of replay buffers: storage, hindsight and augmentation at sampling, multi-step returns, demonstrations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Replay(Buffer):
     same episode achieved; with `augmentation` they are mirrored and moved.
 
     Raises:
-        UsageError: the capacity is less than one episode per environment, or `hindsight` is set for an environment
+        UsageError: the capacity is below one episode per environment, or `hindsight` is set for an environment
             without goals, or `augmentation` for one with fields of unknown kind.
     """
 

@@ -17,7 +17,7 @@ class Settings(BaseModel):
 
 
 LATER: Any = {"later": True}
-"""`json_schema_extra` of a setting that came after 0.2: at its default it is no part of an experiment's identity."""
+"""`json_schema_extra` of a setting added after 0.2: its default does not belong to an experiment's identity."""
 
 
 def without_later(settings: BaseModel, dumped: dict[str, Any]) -> dict[str, Any]:
@@ -52,5 +52,5 @@ class AgentSettings(Settings):
         return self
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on: the start by its content, not by its path."""
+        """The settings that change results. The start is identified by its content, not by its path."""
         return self.model_dump(mode="json", exclude={"start_from", "start_checkpoint"})

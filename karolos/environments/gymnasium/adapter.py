@@ -53,8 +53,8 @@ class Gymnasium(Environment):
     Reward and termination: the environment's.
     What counts as success, with goals: a reward of at least `success_reward`. Without goals: the episode ends with a
     return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
-    without either, `info["is_success"]`, and results show returns only until a test has such a success. Returns are
-    judged at the end only: where rewards are negative, every episode begins above any threshold.
+    without either, `info["is_success"]`, and results show only returns until a test has such a success. Returns are
+    judged only at the end: with negative rewards every episode begins above any threshold.
     Measures: numbers in the `info` of the last step, by the names in `measures`; undefined where the info lacks one.
 
     Raises:
@@ -112,7 +112,7 @@ class Gymnasium(Environment):
             return self
 
         def identity(self) -> dict[str, Any]:
-            """The settings that results depend on."""
+            """The settings that change results."""
             return self.model_dump(mode="json", exclude={"window", "measures"})
 
     def __init__(self, settings: Gymnasium.Settings) -> None:
@@ -211,7 +211,7 @@ class Gymnasium(Environment):
         return self._last
 
     def _parts(self, found: Any, method: str, names: str) -> tuple[Any, ...]:
-        """Check the result of a method; of the first steps compare the observation with its space as well."""
+        """Check the result of a method. In the first steps also compare the observation with its space."""
         count = names.count(",") + 1
         if not isinstance(found, tuple) or len(found) != count or not isinstance(found[-1], Mapping):
             raise self._broken(f"{method} returns no tuple ({names}) with a dict at its end")
@@ -330,7 +330,7 @@ def _run_that_holds(module: str) -> Path | None:
 
 
 def _own_limit(env: Any) -> int | None:
-    """After how many steps the environment itself, or a TimeLimit in it, ends an episode."""
+    """Number of steps after which the environment itself, or a TimeLimit in it, ends an episode."""
     from gymnasium.wrappers import TimeLimit  # noqa: PLC0415
 
     limits = [getattr(env.spec, "max_episode_steps", None)]
@@ -341,7 +341,7 @@ def _own_limit(env: Any) -> int | None:
 
 
 def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
-    """The observed space: all, or all but the goals."""
+    """The observed space, without the goals if these are used as goals."""
     from gymnasium import spaces  # noqa: PLC0415
 
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
@@ -369,7 +369,7 @@ def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
 
 
 def _difference(space: Any, value: Any, name: str = "observation") -> str | None:
-    """Which part of an observation is not in its space. Numbers may be more precise than there."""
+    """The part of an observation that is not in its space. Numbers may have a higher precision."""
     from gymnasium import spaces  # noqa: PLC0415
 
     if isinstance(space, spaces.Dict) and isinstance(value, Mapping) and set(space) <= set(value):
