@@ -151,8 +151,8 @@ class ActorCritic(TorchAgent):
         shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
         self.policy = MLP(shape, self.weights_generator, device)
         self.average = self.policy
-        """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky 1992,
-        "Acceleration of Stochastic Approximation by Averaging")."""
+        """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky
+        1992, "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")

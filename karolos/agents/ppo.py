@@ -25,7 +25,8 @@ from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
 PPO_INPUT_CLIP = 10.0
-"""Bound of normalised inputs. Better policies reach states far from the first ones, e.g. a cart far from the middle. Source: OpenAI baselines, VecNormalize (clipob)."""
+"""Bound of normalised inputs. Better policies reach states far from the first ones, e.g. a cart far from the middle.
+Source: OpenAI baselines, VecNormalize (clipob)."""
 KL_SLACK = 1.5
 """Learning from a rollout ends when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up."""
 RELU_GAIN = 2**0.5
@@ -343,7 +344,8 @@ class Categorical:
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
         """As `Gaussian.backward`. With p = softmax(output) and entropy H: d log p_a / d output_j = (j = a) - p_j,
-        d H / d output_j = -p_j (log p_j + H)."""
+        d H / d output_j = -p_j (log p_j + H).
+        """
         log_probability, column = torch.log_softmax(output, -1), by_log_probability.unsqueeze(-1)
         probability = log_probability.exp()
         entropy = -(probability * log_probability).sum(-1, keepdim=True)

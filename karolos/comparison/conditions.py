@@ -48,9 +48,9 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
 
     A test counts if it changed only this setting, defines success, and used the checkpoint's latest policy. Tests
     belong together if checkpoint, seed and number of episodes are the same. The group with the most runs is shown, at
-    values at which all of these runs were tested. The run's own value is included, with the success in the same episodes. A
-    parameter of the world, such as task.gravity, has no value in the spec. If a value was tested twice, the later test
-    counts.
+    values at which all of these runs were tested. The run's own value is included, with the success in the same
+    episodes. A parameter of the world, such as task.gravity, has no value in the spec. If a value was tested twice, the
+    later test counts.
     """
     tested: dict[str, dict[_Group, dict[int, _Tests]]] = {}
     for place, run in enumerate(contender.runs):

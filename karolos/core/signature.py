@@ -147,7 +147,7 @@ SAME_LAYOUTS = "robots have the same layouts with cartesian control and the same
 
 @dataclass(frozen=True)
 class Signature:
-    """Everything that agents and buffers know about an environment: layouts of inputs and outputs, goal rule. Picklable."""
+    """All that agents and buffers know about an environment: layouts of inputs and outputs, goal rule. Picklable."""
 
     observation: Layout
     action: Layout | Discrete
