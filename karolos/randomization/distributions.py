@@ -19,7 +19,7 @@ class Distribution(ABC):
     Settings: ClassVar[type[BaseModel]]
 
     listed: tuple[float, ...] = ()
-    """Values that the settings name one by one: each must lie in the parameter's range."""
+    """Values that the settings list: each must lie in the parameter's range."""
 
     def __init__(self, settings: Any) -> None:
         self.settings = settings
