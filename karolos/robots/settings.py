@@ -29,9 +29,9 @@ Stiffness = Annotated[float, Setting(gt=0, le=5000)]
 class ArmSettings(Settings):
     """Settings of every arm.
 
-    Whatever the steps, motors ask for no speed beyond the data sheet's. A joint that a contact drives faster is
-    braked with the torque of its motor. The default of `tool_step` is a distance that every built-in arm covers in each
-    direction in steady motion.
+    Motors never ask for more speed than the data sheet allows, with any step. If a contact drives a joint faster, its
+    motor brakes it. The default of `tool_step` is a distance that every built-in arm covers in each direction in steady
+    motion.
     """
 
     gripper: Annotated[str, AfterValidator(_installed_gripper)] | None = Setting(
