@@ -23,7 +23,7 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 
 def _portable(name: str) -> str:
-    """The name. Raises ValueError where Windows allows no file of that name."""
+    """The name. Raises ValueError if Windows does not allow a file of this name."""
     if not is_portable(name):
         raise ValueError("cannot name a file on Windows: give another name")
     return name
@@ -98,7 +98,7 @@ class TrainingSettings(Settings):
         return (self.minimum_batch or 1) if self.mode == "async" else None
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on. The default mode, lockstep, is not included."""
+        """The settings that change results. The default mode, lockstep, is not included."""
         fixed = self.model_dump(mode="json", exclude={"device", "threads", "diverging", "mode", "minimum_batch"})
         return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
@@ -144,13 +144,13 @@ class DemonstrationSettings(Settings):
         return self
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on: a recording takes the place of noise and random."""
+        """The settings that change results: a recording replaces noise and random."""
         unused = {"file", "columns"} if self.file is None else {"noise", "random"}
         return self.model_dump(mode="json", exclude=unused)
 
 
 TRACKERS = ("mlflow", "wandb", "trackio")
-"""Each has a module NAME_tracker in karolos.experiment."""
+"""Names of trackers. Each has a module NAME_tracker in karolos.experiment."""
 FINAL_SEED_OFFSET = 1_000_000
 """Distance of the final test's root of seeds from `testing.seed`."""
 
@@ -178,7 +178,7 @@ class TestingSettings(Settings):
 
     @property
     def final_seed(self) -> int:
-        """Root of the seeds of the final test, on whose episodes nothing is chosen."""
+        """Root of the seeds of the final test, whose episodes are held out."""
         return self.seed + FINAL_SEED_OFFSET
 
     def identity(self) -> dict[str, Any]:
@@ -197,11 +197,11 @@ _WRITTEN = re.compile(
     r"(?:^|_)(?:logs?|outputs?|out|saves?|videos?|films?|monitor|cache|te?mp|results?)"
     r"(?:_?(?:dir|folder|path|file|to|root)\w*)?(?:_|$)"
 )
-"""Names of settings for files that an environment writes. Their content is no part of an experiment."""
+"""Names of settings for files that an environment writes. Their content does not belong to an experiment."""
 
 
 RECORDING = "demonstrations.file"
-"""Names a folder, whatever the name looks like."""
+"""Name of a setting that always names a folder."""
 
 
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
@@ -285,12 +285,12 @@ class Spec(Settings):
         return self.model_dump(mode="json", exclude_defaults=True)
 
     def given(self) -> dict[str, Any]:
-        """The plugins and the settings that were given, whether they differ from their defaults or not; JSON-able."""
+        """The plugins and the given settings, even if they equal the defaults; JSON-able."""
         given = self.model_dump(mode="json", exclude_unset=True)
         return {key: value for key, value in given.items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without sweep, transfer and launcher, which are not a run's own."""
+        """This spec without sweep, transfer and launcher, which do not belong to a run."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
     def having(self, key: str, **settings: Any) -> Spec:
@@ -309,9 +309,9 @@ class Spec(Settings):
         return found
 
     def hash(self) -> str:
-        """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
+        """SHA-256 (hex) of the settings that change results. Specs with the same hash are one experiment.
 
-        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, tracking,
+        A file is identified by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, tracking,
         device, threads and settings that a plugin's `Settings.identity()` omits.
         """
         text = json.dumps(_by_content(self._identity(), {}), sort_keys=True, separators=(",", ":"))
