@@ -319,7 +319,7 @@ class CarryTask(CubeTask):
     gripper: Gripper | Cup
 
     def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
-        """Place a cube there (m): in the gripper (`grasped`), the open gripper around or above it (`near`), or alone."""
+        """Place a cube there (m): in the gripper (`grasped`), the open gripper around or above it (`near`), or free."""
         if stage == "grasped":
             cube.put_in_gripper(self._robot, self.gripper, place)
         elif stage == "near":

@@ -124,7 +124,7 @@ class PushExpert(Expert):
         return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
 
     def _behind(self, ux: float, uy: float, low: float) -> tuple[float, Vector | None]:
-        """Distance in m of the tool ahead of the cube along (ux, uy), and the way to behind the cube; None: it is there."""
+        """Distance in m of the tool ahead of the cube along (ux, uy), and the way behind it; None: it is there."""
         robot, (x, y, _), (tx, ty, tz) = self._robot, self._task.cube.position, self._robot.tool_position
         # position of the tool relative to the cube, along and across the direction of the push
         along, across = (tx - x) * ux + (ty - y) * uy, (ty - y) * ux - (tx - x) * uy
