@@ -57,7 +57,7 @@ class Motion:
         """The last command to the robot."""
         self._accelerations = np.zeros_like(positions)
         self._place, self._rotation = at.position, at.rotation
-        """Of the spring's set point."""
+        """Position and rotation of the spring's set point."""
         self._begin = 0.0
         self._from = self._to = self.velocities
         self._anchor = self.positions

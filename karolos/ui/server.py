@@ -1,4 +1,4 @@
-"""Serves the pages until Ctrl-C. Accepts requests to this machine's names (beyond loopback with a token) and own forms."""
+"""Serves the pages until Ctrl-C, for requests to this machine's names (with a token beyond loopback) and own forms."""
 
 from __future__ import annotations
 
