@@ -85,7 +85,7 @@ def dataset(
         if note := engine_note(saved.spec, spec):
             warn(note)
     if camera and (format != "lerobot" or size % 2):
-        raise UsageError("--camera films for --format lerobot, in pictures of an even size")
+        raise UsageError("--camera needs --format lerobot and an even --size")
     if format != "karolos":
         from karolos.recordings.source import require
 
@@ -166,7 +166,7 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
 
     before = recording.about()
     if before is None:
-        raise UsageError("there is something already", where=str(out), hint="name another folder with --out")
+        raise UsageError("the folder is not empty", where=str(out), hint="name another folder with --out")
     before.pop("outcome", None)
     now = loads(dumps(about))
     changed = sorted(key for key in {*before, *now} - {"episodes"} if before.get(key) != now.get(key))

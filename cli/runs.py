@@ -111,7 +111,7 @@ def list_runs(
         print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
         return
     if group and columns is not None:
-        raise UsageError("--group has columns of its own", hint="leave out --columns")
+        raise UsageError("--group cannot be combined with --columns", hint="leave out --columns")
     store = open_store(runs, database)
     if store is None:
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")

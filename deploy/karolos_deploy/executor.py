@@ -110,7 +110,7 @@ class Executor:
             if reading is not None and watch.look(reading, self.driver.now()):
                 return reading
             self.driver.wait(self.driver.now() + 1 / self.rate)
-        raise Fault("late reading", f"the robot told nothing for {PATIENCE:g} s")
+        raise Fault("late reading", f"no reading came from the robot for {PATIENCE:g} s")
 
     def _run(self, outcome: Outcome, goal: Array, move: bool, steps: int) -> None:
         bundle, driver = self.bundle, self.driver

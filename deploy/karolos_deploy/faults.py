@@ -122,7 +122,7 @@ class Watch:
     def _finite(self, reading: Reading) -> None:
         for name in self._measured:
             if name not in reading.measured:
-                raise Fault("not measured", f"no camera or fixture tells {name}, which the policy observes")
+                raise Fault("not measured", f"no camera or fixture gives {name}, which the policy observes")
         numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
         numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time]), **reading.measured}
         for name, values in numbers.items():
@@ -141,7 +141,7 @@ class Watch:
         way = np.abs(reading.positions - before.positions) - self._speed * passed * 1.2
         if way.max() > JOINT_JUMP:
             joint = int(way.argmax())
-            raise Fault("jump", f"joint {self._names[joint]} moved faster than it can, by {way[joint]:.3f} rad")
+            raise Fault("jump", f"joint {self._names[joint]} moved by {way[joint]:.3f} rad, faster than it can")
         for name, values in reading.measured.items():
             if self._columns[name][1] == "m" and name in before.measured:
                 far = float(np.linalg.norm(np.subtract(values, before.measured[name])))

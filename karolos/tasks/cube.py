@@ -241,7 +241,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
     gripper = check_pads(robot, task, "grasps")
     if size > 0.9 * gripper.width:
         raise UsageError(
-            f"a cube of {size:g} m does not go into the gripper",
+            f"a cube of {size:g} m does not fit into the gripper",
             setting="task.object_size",
             hint=f"it opens {gripper.width:g} m; a tenth of that is needed as clearance",
         )

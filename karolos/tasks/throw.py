@@ -269,7 +269,7 @@ OPENING_DELAY = 0.01
 
 
 class ThrowExpert(Expert):
-    """Moves to the start of the throw, then turns each joint at a constant speed; opens where the landing is nearest."""
+    """Moves to the start of the throw, then turns each joint at constant speed; opens where the landing is nearest."""
 
     def __init__(self, robot: RobotView, task: Throw) -> None:
         self._robot = robot

@@ -132,7 +132,7 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
     amounts, size = spec.training, environments_of(spec)
     if (amounts.at_least or 0) > size:
         raise UsageError(
-            f"a batch of {amounts.at_least} environments is never ready, because there are {size}",
+            f"{amounts.at_least} environments are never ready at the same time, because there are only {size}",
             setting="training.minimum_batch",
             hint="lower it, or use more environments",
         )
@@ -151,9 +151,9 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
         if share is not None and not 0 < round(share * amounts.batch_size) < amounts.batch_size:
             count = round(share * amounts.batch_size)
             raise UsageError(
-                f"{count} of {amounts.batch_size} transitions of a batch would be demonstrated",
+                f"{count} of {amounts.batch_size} transitions of a batch would be demonstrations",
                 setting="demonstrations.share",
-                hint="between 1 and all but 1; or null: as often as other transitions",
+                hint="let it be at least 1 and leave at least 1; or set null: sampled like other transitions",
             )
         return
     if amounts.mode == "async":

@@ -147,7 +147,7 @@ class Training:
                 raise RunError(
                     f"{name} is {value} after {self.updates} updates ({self.steps} steps)",
                     setting="agent",
-                    hint="lower agent.learning_rate, or check the rewards; the last checkpoint is still there",
+                    hint="lower agent.learning_rate, or check the rewards; the last checkpoint is kept",
                 )
         return means
 

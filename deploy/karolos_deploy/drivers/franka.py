@@ -135,7 +135,7 @@ class Franka(Driver):
             if told != before:
                 since = time.perf_counter()
             elif time.perf_counter() - since > SILENCE:
-                raise Fault("connection lost", "the controller's clock stands")
+                raise Fault("connection lost", "the controller's clock stands still")
 
     def read(self) -> Reading | None:
         self._sensors.check()

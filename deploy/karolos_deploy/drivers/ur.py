@@ -115,7 +115,7 @@ class UR(Driver):
             self._control.reuploadScript()
             time.sleep(0.2)  # until the program waits for commands
         if move and not self._control.setWatchdog(self.number("watchdog")):
-            raise Fault("refused", "the controller took no watchdog")
+            raise Fault("refused", "the controller did not accept a watchdog")
         self._time, self._moves = -1.0, move
         return goal
 
@@ -158,7 +158,7 @@ class UR(Driver):
             if reading is not None and reading.state != RUNNING:
                 raise Fault(reading.state, "the robot says that it does not move")
             time.sleep(0.01)
-        raise Fault("refused", "the controller took no set point")
+        raise Fault("refused", "the controller did not accept a set point")
 
     def _follow(self, point: SetPoint) -> bool:
         """Let the joints follow a set point."""
