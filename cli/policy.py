@@ -1,4 +1,4 @@
-"""`karolos play`, `karolos test` and `karolos export`: what is done with a saved policy."""
+"""`karolos play`, `karolos test` and `karolos export`: use a saved policy."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def play(
 
 
 def _modules(folder: RunFolder) -> list[str]:
-    """The modules that the run's spec makes karolos import: of plugins that are not karolos's, and of gymnasium ids."""
+    """The foreign modules that the run's spec makes karolos import: of plugins and of gymnasium ids."""
     from karolos.records.run_records import part_name
     from karolos.registry import entries
     from karolos.specification.tree import PARTS
@@ -206,7 +206,7 @@ def zero_shot(
 
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
-    """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
+    """Print the success of the expert of a spec's task in the episodes of its final test, or in the requested ones."""
     from karolos.evaluation.playing import FirstSuccesses, evaluate_alone
     from karolos.evaluation.policies import expert_policy
     from karolos.report.tables import heading

@@ -1,4 +1,4 @@
-"""`karolos robot`: an arm from a file, and how good policies are on it that never saw it."""
+"""`karolos robot`: checks an arm's file, and scores the arm with policies that never saw it."""
 
 from __future__ import annotations
 
@@ -150,7 +150,7 @@ def score(
 
 
 def _overrides(robot: str, gripper: str | None, folder: Path, mass: float | None) -> tuple[list[str], list[str], str]:
-    """The overrides that name a robot, what is assumed of its file, and what it is called."""
+    """The overrides that name a robot, the assumptions about its file, and its name."""
     from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of

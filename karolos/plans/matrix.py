@@ -129,7 +129,7 @@ class Matrix(Plan):
                 signatures[label] = signature_of(variant)
                 if not signatures[label].has_success:
                     raise UsageError(
-                        "its environment does not define success, by which transfer is measured",
+                        "its environment does not define success, which measures transfer",
                         setting=self.transfer.place(label),
                         hint="give environment.success_return, or another environment",
                     )
@@ -193,9 +193,9 @@ class Matrix(Plan):
         if begun and self.home.existing == "ignore":
             count = len(self.variants) * len(self.spec.seeds)
             raise UsageError(
-                f"the matrix {self.name} has begun: {len(finished)} of {count} sources are finished",
+                f"the matrix {self.name} exists: {len(finished)} of {count} sources are finished",
                 where=str(self.home.runs),
-                hint="--resume continues it and runs nothing twice; name=... begins another one",
+                hint="--resume continues it without repeating runs; name=... begins another one",
             )
         for folder in finished:
             _require_checkpoint(folder)

@@ -398,7 +398,7 @@ def verdict(report: TransferReport) -> str:
 
 
 def notes(report: TransferReport) -> list[str]:
-    """What the numbers mean."""
+    """Explanations of the numbers."""
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     for name, metric in report.metrics.items():

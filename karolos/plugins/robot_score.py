@@ -127,7 +127,7 @@ def policies_of(robot: str) -> list[str]:
     found = [name for name in shipped_names() if name.startswith(f"{robot}_")]
     if not found:
         known = sorted({name.partition("_")[0] for name in shipped_names()})
-        raise UsageError(f"no policy of the robot {robot!r} ships", hint=alternatives(robot, known))
+        raise UsageError(f"there is no shipped policy of the robot {robot!r}", hint=alternatives(robot, known))
     return found
 
 
@@ -161,7 +161,7 @@ def score_policy(
     with used(environment):
         assert isinstance(environment, RobotTask)
         if not isinstance(environment.robot, Arm):
-            raise UsageError("it is no arm", setting="robot", hint="`karolos test` tests any robot")
+            raise UsageError("this robot is not an arm", setting="robot", hint="`karolos test` tests any robot")
         watch = Watch(environment, player.policy)
         for moment in play(environment, watch.policy, episodes=episodes, seed=seed):
             watch.see(moment)

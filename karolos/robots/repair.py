@@ -89,7 +89,7 @@ class Repair:
     def write(self, path: Path) -> None:
         """Write the repaired copy, with names of meshes relative to its folder. Raises PluginError, MachineError."""
         if self.robot is None:
-            raise PluginError("it is no URDF, which cannot be repaired", where=str(self.path))
+            raise PluginError("it is not a URDF and cannot be repaired", where=str(self.path))
         for mesh in self.robot.iter("mesh"):
             mesh.set("filename", os.path.relpath(mesh.get("filename", ""), path.absolute().parent).replace(os.sep, "/"))
         write_whole(path, self._text() + "\n")

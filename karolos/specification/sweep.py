@@ -480,7 +480,7 @@ class Transfer(Settings):
         if not {"zero_shot", "fine_tune"} & set(self.modes):
             raise ValueError("transfers nothing: add zero_shot or fine_tune to modes")
         if self.fine_tune and "fine_tune" not in self.modes:
-            raise ValueError("fine_tune is a budget that no mode uses: add fine_tune to modes, or remove it")
+            raise ValueError("no mode uses fine_tune: add fine_tune to modes, or remove it")
         return self
 
     @property

@@ -119,7 +119,7 @@ def test_what_is_lifted_moves_along_z_as_a_whole() -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"arm": {"control": "joint"}}, "what becomes of joint_positions in a mirror or elsewhere is not known"),
+        ({"arm": {"control": "joint"}}, "it is unknown how joint_positions changes if the scene is mirrored or moved"),
         ({"environment": {"actions": "discrete"}}, "discrete actions have no mirror image"),
     ],
 )

@@ -64,7 +64,7 @@ def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: Matrix) -> None:
 
 def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: Matrix) -> None:
     runs = undisturbed.folder.parents[1]
-    with pytest.raises(UsageError, match=r"matrix line has begun: 4 of 4 sources are finished; --resume continues"):
+    with pytest.raises(UsageError, match=r"matrix line exists: 4 of 4 sources are finished; --resume continues"):
         run_matrix(runs)
     again, _, started = run_matrix(runs, resume=True)
     assert started == []

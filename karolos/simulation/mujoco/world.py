@@ -400,6 +400,6 @@ def _context(width: int, height: int) -> Any:
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MachineError(
-        f"MuJoCo finds no OpenGL to draw with ({'; '.join(problems)})",
+        f"MuJoCo finds no OpenGL for pictures ({'; '.join(problems)})",
         hint=RENDERER_HINT,
     )
