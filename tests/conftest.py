@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from functools import cache
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -51,6 +52,22 @@ def throws_are_searched_once() -> Iterator[None]:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(ThrowPlanner, "_search_throw", once)
+        yield
+
+
+@pytest.fixture(scope="session", autouse=True)
+def workers_import_once() -> Iterator[None]:
+    """Worker processes fork from a server that has imported MuJoCo and read its kernels: each would do it again."""
+    start, preload = forkserver.ForkServer.ensure_running, forkserver.set_forkserver_preload
+
+    def with_path(server: forkserver.ForkServer) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+            start(server)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forkserver.ForkServer, "ensure_running", with_path)
+        patch.setattr(forkserver, "set_forkserver_preload", lambda modules: preload([*modules, "support.preloaded"]))
         yield
 
 
