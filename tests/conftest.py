@@ -15,6 +15,7 @@ from support.fake_plugins import FAKES
 from karolos import registry
 from karolos.core import Array
 from karolos.records import provenance
+from karolos.robots import poses
 from karolos.tasks.throw_planner import ThrowPlanner
 
 Install = Callable[..., None]
@@ -79,9 +80,16 @@ def environments_are_closed() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def proposals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of caches, in which what is assumed of an arm's file is found by later tests: it takes two seconds."""
+def caches(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("caches")
+
+
+@pytest.fixture
+def quick_proposals(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is assumed of an arm's file is found by later tests, and the first home with some room is taken."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
+    monkeypatch.setattr(poses, "CONFIGURATIONS", 1)
+    monkeypatch.setattr(poses, "ENOUGH", 0.2)
 
 
 @pytest.fixture

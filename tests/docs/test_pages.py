@@ -90,7 +90,7 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_proposals: None) -> Iterator[Path]:
     """A folder as a reader of the pages has it; plugins and environments that a page adds are forgotten at the end."""
     monkeypatch.setattr(registration, "registry", dict(registration.registry))
     monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: FakeLauncher())  # tests/plans starts processes
