@@ -73,7 +73,8 @@ def shrunk(words: list[str]) -> list[str]:
     if words[0] == "compare" and "figures" in words and "--figure" not in words:
         return [*words, "--figure", "steps"]  # tests/report draws all of them
     if words[0] != "run":
-        return [*words, *SMALLER.get(words[0], [])]
+        short = ["task.max_steps=5"] if words[0] == "play" and not words[1].startswith("@") else []
+        return [*words, *SMALLER.get(words[0], []), *short]
     spec = load_spec(words[1], [word for word in words[2:] if "=" in word and not word.startswith("-")])
     more = [] if spec.task is None else ["task.max_steps=10"]
     if spec.demonstrations is not None:

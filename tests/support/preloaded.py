@@ -2,6 +2,7 @@
 
 from contextlib import suppress
 
+from karolos import registry
 from karolos.plugins.inspection import pair
 
 with suppress(ImportError):
@@ -9,3 +10,4 @@ with suppress(ImportError):
 environment = pair("panda", "pick_place")
 environment.reset(0)
 environment.close()
+registry._scan.cache_clear()  # a test may install more
