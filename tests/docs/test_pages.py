@@ -95,6 +95,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_proposals: Non
     """A folder as a reader of the pages has it; plugins and environments that a page adds are forgotten at the end."""
     monkeypatch.setattr(registration, "registry", dict(registration.registry))
     monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: FakeLauncher())  # tests/plans starts processes
+    monkeypatch.setattr("karolos.plans.study.Study.figures", lambda _: {})  # tests/plans draws them
     for name in ("specs", "examples"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)
