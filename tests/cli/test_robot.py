@@ -9,6 +9,7 @@ import pytest
 from karolos_cli.robot import app
 from support.commands import call
 from support.fourth_robot import exported_arm
+from support.processes import Here
 
 from karolos.plugins import robot_check, robot_score
 from karolos.plugins.contracts import cases
@@ -16,8 +17,7 @@ from karolos.records.shipped import shipped_names
 
 
 @pytest.fixture
-def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, proposals: Path) -> Path:
-    monkeypatch.setenv("XDG_CACHE_HOME", str(proposals))
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_proposals: None) -> Path:
     monkeypatch.chdir(tmp_path)
     return exported_arm(tmp_path).model.urdf
 
@@ -27,18 +27,8 @@ def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(
 ) -> None:
     monkeypatch.setattr(robot_check, "cases", lambda *one, **how: cases(*one, **how)[:3])  # all take a minute
     arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"').replace("/meshes/", "/elsewhere/"))
-    code, out, err = call(
-        app,
-        "check",
-        str(arm),
-        "--repair",
-        "copy.urdf",
-        "--no-promises",
-        "--out",
-        "arm.png",
-        "--gripper",
-        "robotiq_2f85",
-    )
+    options = "--repair copy.urdf --no-promises --out arm.png --gripper robotiq_2f85"
+    code, out, err = call(app, "check", str(arm), *options.split())
     assert code == 3, err
     lines = out.splitlines()
     assert sum(line.startswith("wrong: ") and "; repaired: " in line for line in lines) == 2
@@ -81,8 +71,9 @@ def test_policies_are_those_of_a_robot_or_one(arm: Path) -> None:
 
 
 def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_is_named(
-    arm: Path, tmp_path: Path
+    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(robot_score, "ProcessPoolExecutor", Here)
     broken = arm.with_name("broken.urdf")
     broken.write_text(arm.read_text().replace('effort="60"', 'effort="0"'))
     (tmp_path / "none.urdf").write_text("<robot/>")

@@ -26,9 +26,8 @@ from karolos.specification import Spec, load_spec, spec_from_dict
 
 
 @pytest.fixture
-def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, proposals: Path) -> Path:
-    """A URDF with two fingers; what is assumed of it stands in a folder of caches for all tests."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(proposals))
+def arm(tmp_path: Path, quick_proposals: None) -> Path:
+    """A URDF with two fingers."""
     from_file._cached.cache_clear()
     return exported_arm(tmp_path).model.urdf
 
