@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import asdict
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -127,7 +128,7 @@ def score(
         overrides: list[str] = []
         notes: list[str] = []
         try:
-            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, folder, mass)
+            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass)
             found = score_robot(chosen, overrides, episodes, folder)
         except KarolosError as error:
             if len(robots) == 1:
@@ -150,26 +151,21 @@ def score(
         print_table(arms_table(every))
 
 
-def _overrides(robot: str, gripper: str | None, folder: Path, mass: float | None) -> tuple[list[str], list[str], str]:
+def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, what is assumed of its file, and what it is called."""
     from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of
-    from karolos.robots.repair import Repair
 
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
     path = Path((installed_file(robot) if robot.startswith(INSTALLED) else None) or robot)
-    path, name, notes = path.absolute() if not str(path).startswith(INSTALLED) else path, path.stem, list[str]()
+    settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
     try:
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
     except PluginError:
-        repair = Repair(path, mass)
-        if repair.robot is None or not repair.findings:
-            raise
-        path = folder.absolute() / f"{name}.urdf"
-        repair.write(path)
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
-        notes = [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
-    return ["robot.name=urdf", f"robot.file={path}", *gripping], [*notes, *found.notes], name
+        settings |= {"repair": True} | ({"mass": mass} if mass is not None else {})
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
+    given = [f"robot.{key}={dumps(value)}" for key, value in settings.items()]
+    return ["robot.name=urdf", *given, *gripping], [*found.notes], path.stem

@@ -7,14 +7,13 @@ from collections import Counter, deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field
-from operator import itemgetter
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from ..core import FloatArray, SeedTree, Step
+from ..core import FloatArray, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
 from ..errors import KarolosError, UsageError, alternatives
@@ -23,13 +22,13 @@ from ..evaluation.playing import Moment, play, play_one
 from ..evaluation.policies import Policy
 from ..evaluation.testing import test_seeds
 from ..files import write_whole, writing
+from ..plans.matrix_report import targets_table
 from ..records import RunFolder
 from ..records.shipped import FOLDER, shipped_names
 from ..report.page import Section, document
 from ..report.tables import Columns, Table
 from ..report.video import write_film
 from ..robots.arm import Arm
-from ..statistics.aggregates import mean, paired_interval
 from ..statistics.intervals import wilson
 from ..system import cores
 
@@ -212,29 +211,12 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
 
 
 def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
-    """A row for each task. The arm is the unit: mean over arms with its bootstrap interval, least, and who is left out.
+    """A row for each task, over the arms.
 
     Args:
         scores: name and scores of each arm.
     """
-    rows = []
-    for task in dict.fromkeys(one.task for _, of in scores for one in of):
-        found = [(arm, one) for arm, of in scores for one in of if one.task == task]
-        values = sorted((one.success, arm) for arm, one in found if one.success is not None)
-        over = [value for value, _ in values]
-        interval = paired_interval([over], mean, SeedTree(0).generator()) if over else None
-        within = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-        rows.append(
-            {
-                "task": task,
-                "arms": str(len(over)),
-                "mean": f"{float(np.mean(over)):.3f}{within}" if over else "-",
-                "least": "{:.2f} {}".format(*values[0]) if values else "-",
-                "refused": "; ".join(f"{arm}: {one.refused}" for arm, one in found if one.refused),
-            }
-        )
-    columns: Columns[dict[str, str]] = {key: itemgetter(key) for key in ("task", "arms", "mean", "least", "refused")}
-    return Table.of(rows, columns, "Over arms")
+    return targets_table([(one.task, arm, one.success, one.refused) for arm, of in scores for one in of], "task")
 
 
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
