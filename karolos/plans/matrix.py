@@ -138,7 +138,7 @@ class Matrix(Plan):
                 except (PluginError, UsageError) as error:
                     if label in self.transfer.trained:
                         raise
-                    self.refused[label] = " ".join(str(error).splitlines())
+                    self.refused[label] = "; ".join(filter(None, (error.what, error.hint)))
                     continue
                 if not signatures[label].has_success:
                     raise UsageError(

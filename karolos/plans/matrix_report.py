@@ -6,9 +6,10 @@ The seed is the unit, and source, target and fine-tuning are paired by it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
+from math import hypot
 from statistics import fmean
 from typing import Any
 
@@ -20,6 +21,7 @@ from ..comparison.curves import places
 from ..comparison.scores import Comparison, Estimate, Reaching, compare, estimate, reaching
 from ..core.seeding import SeedTree
 from ..environments.build import used
+from ..environments.robot_task import RobotTask
 from ..evaluation.policies import environment_of
 from ..records import RunFolder
 from ..records.evaluation import Evaluation
@@ -29,6 +31,7 @@ from ..report.comparison_figures import heat_map, titled_curve
 from ..report.figures import HEIGHT, WIDTH, Drawing, file_name, look, short
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, interval_notes, reached, success
+from ..simulation.interface import Camera
 from ..statistics import aggregates, transfer
 from ..statistics.reaching import first_reaching
 from .matrix import Matrix, Pair
@@ -51,6 +54,8 @@ MANY = 6
 """Targets from which on a map has a row for each."""
 PICTURE = 480, 360
 """Size in pixels of the picture of a target."""
+USUAL_REACH = 0.5
+"""Way in m from the base to the tool at home of the arms that a camera shows whole."""
 METRICS = {
     "zero_shot": TransferMetric(
         "Zero-shot success",
@@ -365,9 +370,13 @@ def _learning(
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
-    """One metric: a row per source, a column per target."""
+    """One metric: a row per source, a column per target; of many targets a row each."""
     rows = [(source, *map(tables.estimate, found)) for source, found in report.matrix(name)]
-    return Table(["from", *(f"to {label}" for label in report.labels)], rows, METRICS[name].title)
+    columns = ["from", *(f"to {label}" for label in report.labels)]
+    if len(report.labels) > MANY:
+        columns = ["to", *(f"from {source}" for source, *_ in rows)]
+        rows = list(zip(report.labels, *(cells for _, *cells in rows), strict=True))
+    return Table(columns, rows, METRICS[name].title)
 
 
 def variants_table(report: TransferReport) -> Table:
@@ -465,6 +474,8 @@ def notes(report: TransferReport) -> list[str]:
             lines.append(f"{metric.title}, pairs that alone have a value: {', '.join(without)}")
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
+    if over_targets(report):
+        lines.append("over arms: each arm counts once, with its mean over the seeds")
     lines.append("random policy, expert: what is possible without learning, with a 95 % Wilson interval")
     return lines
 
@@ -499,7 +510,13 @@ def pictures(found: Matrix, report: TransferReport) -> list[Drawing]:
             continue
         with used(environment_of(spec)) as environment:
             environment.reset(spec.testing.final_seed)
-            image = environment.render(*PICTURE)
+            assert isinstance(environment, RobotTask)
+            robot, view = environment.robot, Camera()
+            (x, y, _), (dx, dy, _) = robot.base, np.subtract(robot.tool.position, robot.base).tolist()
+            scale = max(1.0, hypot(dx, dy) / USUAL_REACH)  # a large arm is seen from further away
+            target = x + 0.66 * dx, y + 0.66 * dy, scale * view.target[2]
+            view = replace(view, target=target, distance=scale * view.distance, base=robot.base)
+            image = environment.world.render(*PICTURE, view)
         cells = [one for one in report.cells if one.target == label and "zero_shot" in one.estimates]
         success = ", ".join(f"from {one.source} {tables.estimate(one.estimates['zero_shot'])}" for one in cells)
         drawing = Drawing(f"arm_{file_name(label)}", label, success)
