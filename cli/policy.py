@@ -173,7 +173,8 @@ def zero_shot(
 
     The same policy's success on the same episodes without the changes is printed beside it. By default these are the
     episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
-    (transfers.jsonl), and `karolos runs show` shows it. With --expert the scripted policy of a spec's task is tested.
+    (transfers.jsonl; of a policy that ships: shipped/NAME in the runs folder), and `karolos runs show` shows it. With
+    --expert the scripted policy of a spec's task is tested.
     """
     if expert:
         if randomize or checkpoint:
@@ -182,7 +183,8 @@ def zero_shot(
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
         return
     folder = open_run(run, runs, database)
-    from karolos.evaluation.zero_shot import zero_shot_test
+    from karolos.evaluation.zero_shot import keep, zero_shot_test
+    from karolos.records.shipped import is_shipped
     from karolos.report.tables import measures_table, transfers_table
 
     done = zero_shot_test(
@@ -194,6 +196,8 @@ def zero_shot(
         randomize=randomize,
         on_warning=warn,
     )
+    if is_shipped(folder):
+        keep(folder, done, runs)
     if json:
         print_rows([{"run": folder.id, **done.changed_row()}], json=True)
         return

@@ -9,9 +9,9 @@ from typing import Annotated, Any
 
 import typer
 
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import KarolosError, NoSuchRunError, PluginError, UsageError
 
-from .arguments import Json
+from .arguments import Database, Json, Runs, open_run
 from .completion import complete_plugin
 from .inspect import save_picture
 from .output import print_line, print_rows, print_table, say
@@ -86,12 +86,12 @@ def check(
 @app.command()
 def score(
     robots: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
-    ],
+    ] = None,
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
-        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or one: ur5_pick.")
+        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or a run: ur5_pick, @last.")
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
@@ -100,25 +100,43 @@ def score(
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder of the page and its films. Default: ./NAME-score.")
     ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Show the scores so far, of all robots or of these.")] = False,
+    runs: Runs = Path("runs"),
+    database: Database = None,
     json: Json = False,
 ) -> None:
     """Play the policies that ship on a robot that they never saw: success, and why the other episodes fail.
 
     Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
-    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all.
+    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all. Results
+    are kept as those of `karolos test`.
     """
     from karolos.files import write_json, writing
     from karolos.plugins.robot_score import (
         arms_table,
+        kept_scores,
+        kept_table,
         policies_of,
         refused,
         score_robot,
         scores_table,
         write_score_page,
     )
-    from karolos.records.shipped import shipped_names
+    from karolos.registry import names
 
-    chosen = [policies] if policies in shipped_names() else policies_of(policies)
+    robots = robots or []
+    if listed:
+        wanted = {Path(one).stem for one in robots}
+        rows = [row for row in kept_scores(runs) if row["robot"] in wanted or not wanted]
+        print_rows(rows, json=True) if json else print_table(kept_table(rows))
+        return
+    if not robots:
+        raise UsageError("no robot is given", hint="name a URDF or a robot; --list shows the scores so far")
+    try:
+        chosen = [] if policies in names("robots") else [open_run(policies, runs, database).path]
+    except NoSuchRunError:
+        chosen = []
+    chosen = chosen or policies_of(policies)
     every = []
     for robot in robots:
         name = Path(robot).stem
@@ -129,7 +147,7 @@ def score(
         notes: list[str] = []
         try:
             overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass)
-            found = score_robot(chosen, overrides, episodes, folder)
+            found = score_robot(chosen, overrides, episodes, folder, runs)
         except KarolosError as error:
             if len(robots) == 1:
                 raise
