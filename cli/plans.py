@@ -299,9 +299,10 @@ def transfer(
     for warning in report.warnings:
         warn(warning)
     tables = [*(reports.matrix_table(report, name) for name in report.metrics), reports.variants_table(report)]
+    tables[:0] = reports.over_targets(report)
     print_report(report.rows(), tables, reports.notes(report), quiet=quiet, json=json)
     maps, curves = reports.transfer_figures(report)
-    path = matrix.write_page(reports.matrix_page(report, maps, curves))
+    path = matrix.write_page(reports.matrix_page(report, maps, curves, reports.pictures(matrix, report)))
     if out is not None:
         write_figures([*maps, *curves], out)
     if not quiet:

@@ -172,9 +172,10 @@ def zero_shot(
 ) -> None:
     """Test a run's saved policy under changed settings: another robot, other physics, randomization.
 
-    Also prints the success of the same policy in the same episodes without the changes. By default the episodes are
-    those of the run's final test, which are held out. The result is written to transfers.jsonl in the run's folder,
-    and `karolos runs show` shows it. With --expert the scripted expert of a spec's task is tested.
+    The same policy's success on the same episodes without the changes is printed beside it. By default these are the
+    episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
+    (transfers.jsonl; of a policy that ships: shipped/NAME in the runs folder), and `karolos runs show` shows it. With
+    --expert the scripted policy of a spec's task is tested.
     """
     if expert:
         if randomize or checkpoint:
@@ -183,7 +184,8 @@ def zero_shot(
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
         return
     folder = open_run(run, runs, database)
-    from karolos.evaluation.zero_shot import zero_shot_test
+    from karolos.evaluation.zero_shot import keep, zero_shot_test
+    from karolos.records.shipped import is_shipped
     from karolos.report.tables import measures_table, transfers_table
 
     done = zero_shot_test(
@@ -195,6 +197,8 @@ def zero_shot(
         randomize=randomize,
         on_warning=warn,
     )
+    if is_shipped(folder):
+        keep(folder, done, runs)
     if json:
         print_rows([{"run": folder.id, **done.changed_row()}], json=True)
         return

@@ -223,6 +223,7 @@ def show(
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.core.environment import STAGE
     from karolos.records import RunFolder
+    from karolos.records.shipped import results_of
     from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
@@ -235,7 +236,7 @@ def show(
         if os.path.isdir(summary.folder):
             folder = RunFolder.open(summary.folder)
             record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
-            transfers, unreadable = folder.transfers()
+            transfers, unreadable = results_of(folder, runs).transfers()
             stages = folder.stages(STAGE)
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
