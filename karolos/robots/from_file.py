@@ -50,10 +50,6 @@ class FromFile(Arm):
             json_schema_extra=LATER,
             description="repair what arithmetic can, as `karolos robot check --repair` does without xacro",
         )
-        tool: str | None = Setting(None, description="the link of the tool frame, z forwards; null: by usual names")
-        flange: str | None = Setting(
-            None, description="the link that carries a gripper, z away from the arm; null: found"
-        )
         tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
         flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
         flange_yaw: float | None = Setting(
