@@ -19,11 +19,12 @@ from ..core.settings import LATER
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
+from .joint_network import JointNetwork, JointShape
 from .layers import Tape
 from .networks import MLP, NetworkShape
 from .noise import Noise
 from .optimisation import Metrics
-from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent, joint_columns, value_bounds
 
 GOLDEN = (5**0.5 - 1) / 2
 """The golden ratio, less 1."""
@@ -63,6 +64,9 @@ class ActorCriticSettings(OptimiserSettings):
         gt=0,
         le=1,
         description="step, per policy update, of the average of the policy that acts in tests; 1: the policy itself",
+    )
+    per_joint: bool = Setting(
+        False, json_schema_extra=LATER, description="networks that treat joints alike; it needs robot.joint_slots"
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
@@ -126,7 +130,7 @@ class ActorCritic(TorchAgent):
 
     on_policy: ClassVar[bool] = False
     critics_see_more: ClassVar[bool] = True
-    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm", "per_joint")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
@@ -146,22 +150,43 @@ class ActorCritic(TorchAgent):
             )
         self.actions = actions = signature.action.size
         super().__init__(settings, signature, seeds, device)
-        bfloat16 = uses_bfloat16(settings.precision, device)
-        shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
-        self.policy = MLP(shape, self.weights_generator, device)
+        self.policy, self.critic = self._networks(signature)
         self.average = self.policy
         """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
         "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (self.inputs + self.critic_only + actions, *settings.hidden, self.critic_kind.columns)
-        shape = NetworkShape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
-        self.critic = MLP(shape, self.weights_generator, device)
         self.target = self.critic.copy()
         self.noise = Noise(settings.noise, self.inputs, actions, self.device)
         self.optimisers = {"policy": self.adam(self.policy.vector), "critic": self.adam(self.critic.vector)}
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
+
+    def _networks(self, signature: Signature) -> tuple[MLP, MLP]:
+        """The policy and the critics, as the settings say."""
+        settings, generator, device = self.settings, self.weights_generator, str(self.device)
+        before = self.inputs + self.critic_only
+        sizes = (self.inputs, *settings.hidden, self.policy_columns * self.actions)
+        critic_sizes = (before + self.actions, *settings.hidden, self.critic_kind.columns)
+        more: dict[str, Any] = {"members": self.critics, "layer_norm": settings.layer_norm}
+        if not settings.per_joint:
+            bfloat16 = uses_bfloat16(settings.precision, device)
+            policy = MLP(NetworkShape(sizes, bfloat16=bfloat16), generator, device)
+            return policy, MLP(NetworkShape(critic_sizes, bfloat16=bfloat16, **more), generator, device)
+        seen, moved = joint_columns(signature.observation.acting), joint_columns(signature.action)
+        if not seen or len(seen) != len(moved):
+            what, hint = "observations and actions do not describe joints", "set robot.joint_slots, or per_joint: false"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
+        # the mean of each action, then, in SAC, its deviation
+        each = [
+            [self.actions * part + column for part in range(self.policy_columns) for column in row] for row in moved
+        ]
+        both = [[*row, *(before + column for column in action)] for row, action in zip(seen, moved, strict=True)]
+        none = [list[int]() for _ in seen]
+        tables = (tuple(map(tuple, table)) for table in (seen, each, both, none))
+        policy_shape = JointShape(sizes, joints=next(tables), each=next(tables))
+        critic_shape = JointShape(critic_sizes, joints=next(tables), each=next(tables), **more)
+        return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
         """Raise a UsageError if it is to imitate and nothing shows how, or the reverse."""
@@ -290,6 +315,9 @@ class ActorCritic(TorchAgent):
 
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
+        if self.settings.per_joint:
+            what, hint = "networks that treat joints alike have no file for use without karolos", "train without it"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
 
 

@@ -32,6 +32,8 @@ class Field:
     columns of a rotation matrix. wrench: a vector, then an axial one. Several: one after the other, of 3 columns, 6
     columns (rotation, wrench) or one (scalar). None: unknown.
     """
+    joints: int = 0
+    """How many joints it describes, one after the other, each in equally many columns; 0: it describes none."""
 
 
 @dataclass(frozen=True)

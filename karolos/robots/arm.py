@@ -113,7 +113,7 @@ class Arm:
             )
         )
         published = model.accelerations if settings.acceleration == "sheet" else None
-        self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
+        self.accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
         self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
         offset: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
@@ -162,7 +162,11 @@ class Arm:
         if limits == "task":
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
-        self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
+        steps = [min(self.settings.joint_step, speed * period) for speed in self.limits.velocity]
+        if self.settings.joint_slots is not None:  # what actions do shall not depend on the size of an arm
+            levers = np.linalg.norm(self.chain.jacobian(self.chain.forward(self.model.home))[:3], axis=0)
+            steps = np.minimum(steps, self.settings.tool_step / np.maximum(levers, 1e-6)).tolist()
+        self.joint_step = tuple(steps)
         self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
         self.engine_needs: dict[str, Ability] = {}
@@ -216,7 +220,7 @@ class Arm:
         """What a controller has to know to run a policy: JSON-able, SI units, in the world's frame."""
         settings, limits, scales = self.settings, self.limits, self._control.scales
         names = [limits.name(joint) for joint in range(self.chain.size)]
-        columns = (names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
+        columns = (names, limits.lower, limits.upper, limits.velocity, self.accelerations, limits.effort)
         keys = ("name", "lower", "upper", "velocity", "acceleration", "effort", "home")
         rows = zip(*columns, self.home_joints, strict=True)
         joints = [dict(zip(keys, row, strict=True)) for row in rows]
@@ -252,7 +256,7 @@ class Arm:
             "path_length": self._path,
             "peak_force": max(forces.values(), default=0.0),
             "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
-            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
+            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self.accelerations)),
             "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
             "peak_wrist_force": loads.wrench,
             "peak_pad_force": max(pads, default=0.0),
@@ -271,7 +275,7 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
+        self.ramps = Ramps(self.limits, world.period, self.accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         fingers, cup = (self.model.fingers, self.model.cup) if self._grip is not None else (None, None)
@@ -533,7 +537,7 @@ class Arm:
         target = self._target(position, orientation)
         way = self.chain.step(self.configuration, target, self.posture(self.joint_positions))
         # so fast that .8 of a joint's acceleration stops it at the end of its way
-        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
+        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self.accelerations, strict=True))
         # and by less where actions act late: a step of the whole way would be told again until it shows
         slower = max(1.0 + len(self._delayed), max(needed) / self.period)
         return self._action(self._control.towards(Way(target, way, slower)), opening)
@@ -545,7 +549,8 @@ class Arm:
                 setting="robot.control",
                 hint="set robot.control: joint",
             )
-        return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
+        shares = [change / step for change, step in zip(changes, self.joint_step, strict=True)]
+        return self._action([*shares, *[0.0] * (self._control.action[0].size - len(shares))], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
         if self._commanded:
