@@ -24,7 +24,7 @@ def check(
         list[str],
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
-            help="YAML specs to check, and settings that replace those of every spec.",
+            help="YAML files to check, and settings to change in each of them.",
             autocompletion=complete_spec,
         ),
     ],
@@ -33,9 +33,9 @@ def check(
 ) -> None:
     """Check specs and suites, and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a valid spec are created once to see whether they fit together, and the environment makes its first
-    steps; so do those of each variant of a transfer and of each spec of a suite. Nothing is trained.
-    Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
+    The parts of a valid spec are built once, and the environment makes its first steps. This shows whether the parts
+    fit together. A transfer is checked with all its variants, a suite with all its specs. Nothing is trained.
+    Exit code 0: all specs are valid; 2: a spec is invalid; 3: a plugin is broken.
     """
     from karolos.specification import load_spec
     from karolos.specification.suite import is_suite, load_suite

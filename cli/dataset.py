@@ -28,24 +28,21 @@ def dataset(
     overrides: Changes = None,
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder to write.")] = Path("dataset"),
     episodes: Annotated[int, typer.Option(min=1, help="Episodes in the dataset.")] = 100,
-    expert: Annotated[bool, typer.Option("--expert", help="Record the expert of a spec's task instead.")] = False,
+    expert: Annotated[bool, typer.Option("--expert", help="Record the scripted expert of a spec's task.")] = False,
     format: Annotated[
         Literal["lerobot", "minari", "karolos"],
-        typer.Option(help="lerobot: a LeRobotDataset v3; minari; karolos: one .npz per episode."),
+        typer.Option(help="lerobot: LeRobotDataset v3. minari: Minari dataset. karolos: one .npz per episode."),
     ] = "lerobot",
-    only: Annotated[
-        Literal["success"] | None, typer.Option(help="Leave out episodes that do not end with success.")
-    ] = None,
+    only: Annotated[Literal["success"] | None, typer.Option(help="Keep only episodes that end with success.")] = None,
     noise: Annotated[
         float, typer.Option(min=0, max=10, help="Standard deviation of Gaussian noise on the actions.")
     ] = 0.0,
-    random: Annotated[float, typer.Option(min=0, max=1, help="Probability of a random action instead.")] = 0.0,
-    randomize: Annotated[
-        bool, typer.Option("--randomize", help="Draw the spec's randomization in each episode, as training does.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
+    random: Annotated[float, typer.Option(min=0, max=1, help="Probability that an action is random.")] = 0.0,
+    randomize: Annotated[bool, typer.Option("--randomize", help="Randomize each episode as in training.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Root of the episodes' seeds.")] = 0,
     camera: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Film each episode, for lerobot: front or wrist.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Film each episode with this camera: front or wrist. Only for lerobot."),
     ] = None,
     size: Annotated[int, typer.Option(min=16, max=2048, help="Width and height of a picture in pixels.")] = 224,
     checkpoint: Checkpoint = None,
@@ -53,10 +50,10 @@ def dataset(
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Record episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
+    """Record episodes of a run's policy, of a shipped policy, or with --expert of a spec's scripted expert.
 
-    Episodes are played in the processes and environments of the spec's orchestrator. The same command goes on where it
-    was interrupted. An episode's seeds and noise depend on its number alone.
+    Episodes are played in the processes and environments of the spec's orchestrator. The same command continues an
+    interrupted recording. An episode's seeds and noise depend only on its number.
     """
     from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note

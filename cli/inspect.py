@@ -63,7 +63,7 @@ def task(
     name: Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_plugin("tasks"))],
     robot: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robots")),
+        typer.Option(metavar="NAME", help="Robot that shows the task.", autocompletion=complete_plugin("robots")),
     ] = "panda",
     out: Out = None,
     width: Size = 960,

@@ -62,7 +62,7 @@ class Commands(TyperGroup):
 app = typer.Typer(
     name="karolos",
     cls=Commands,
-    help="Declarative reinforcement-learning experiments on robot-task environments.",
+    help="Run reinforcement-learning experiments on robots and tasks from YAML specs.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,

@@ -56,18 +56,20 @@ def sweep(
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Number of trials in total. Default: as in the spec.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed is a process.")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print its first trials.")] = False,
     on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Search the settings that SPEC's sweep names, and write the best as a spec.
+    """Search the settings that SPEC's sweep names, and write the best ones as a spec.
 
-    Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command resumes a
-    sweep that was interrupted. The sweep's folder is sweeps/NAME in the runs folder; best.yaml is in it.
+    Each trial is the spec with other values. Its runs, one per seed of the sweep, are ordinary runs. The same command
+    resumes an interrupted sweep. The sweep's folder is sweeps/NAME in the runs folder. It holds best.yaml.
     """
     from karolos.specification import load_spec
 
@@ -181,7 +183,9 @@ def suite(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="SUITE", help="A YAML file that names specs, or one that ships.", autocompletion=complete_spec
+            metavar="SUITE",
+            help="A YAML file that lists specs, or the name of a shipped suite.",
+            autocompletion=complete_spec,
         ),
     ],
     overrides: Overrides = None,
@@ -194,15 +198,15 @@ def suite(
         str | None,
         typer.Option(
             metavar="DURATION",
-            help="Run one seed of each spec within this time, e.g. 2h. The specs share it by their steps; a run that "
-            "does not fit is cut and reported as it is.",
+            help="Run one seed of each spec within this time, e.g. 2h. Specs share the time by their steps. A run "
+            "that exceeds its share is stopped and reported as it is.",
         ),
     ] = None,
     beside: Annotated[
         str | None,
         typer.Option(
             metavar="FOLDER",
-            help="Compare with the runs in this folder that have the specs' names; `shipped`: with those that ship.",
+            help="Compare with the runs of the same names in this folder. `shipped`: with the shipped policies.",
         ),
     ] = None,
     on: On = None,
@@ -212,9 +216,9 @@ def suite(
 ) -> None:
     """Train every spec that SUITE names, and report them as a table of tasks and robots.
 
-    PATH=VALUE holds for every spec: agent=mine trains the table with another agent, without the settings that it has no
-    use for; they are said, and so is what cannot run. The runs are ordinary runs with
-    the specs' names. The page is suites/NAME/report.html in the runs folder; with overrides NAME has them at its end.
+    PATH=VALUE changes every spec: agent=mine trains the table with another agent. Settings that the agent does not
+    know are left out and listed, and so are specs that cannot run. The runs are ordinary runs with the specs' names.
+    The page is suites/NAME/report.html in the runs folder. NAME ends with the overrides, if there are any.
     """
     from karolos.specification.suite import load_suite
 
@@ -261,21 +265,19 @@ def transfer(
     runs: Runs = Path("runs"),
     database: Database = None,
     jobs: Jobs = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue a matrix that has begun; nothing is run twice.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a matrix. No run is repeated.")] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Also write every figure as SVG, PDF and PNG into this folder."),
+        typer.Option(metavar="FOLDER", help="Also write all figures to this folder, as SVG, PDF and PNG."),
     ] = None,
     on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Train on every variant of SPEC's transfer, test the policies on the others, and fine-tune them there.
+    """Train on every variant of SPEC's transfer, then test and fine-tune each policy on the other variants.
 
-    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves,
+    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves:
     transfers/NAME/report.html in the runs folder. The runs are ordinary runs: NAME-SOURCE, NAME-SOURCE-to-TARGET.
     """
     from karolos.specification import load_spec

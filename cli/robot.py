@@ -16,12 +16,12 @@ from .inspect import save_picture
 from .output import print_line, print_rows, print_table, say
 
 app = typer.Typer(
-    name="robot", help="Check an arm from a URDF, and score it with the policies that ship.", no_args_is_help=True
+    name="robot", help="Check an arm's URDF, and score the arm with the shipped policies.", no_args_is_help=True
 )
 Gripper = Annotated[
     str,
     typer.Option(
-        metavar="NAME", help="What it carries; own: its own hand.", autocompletion=complete_plugin("grippers")
+        metavar="NAME", help="Gripper. own: the hand in the URDF.", autocompletion=complete_plugin("grippers")
     ),
 ]
 
@@ -32,27 +32,25 @@ def check(
     gripper: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="What it carries. Default: its own hand.", autocompletion=complete_plugin("grippers")
+            metavar="NAME", help="Gripper. Default: the hand in the URDF.", autocompletion=complete_plugin("grippers")
         ),
     ] = None,
-    tool: Annotated[str | None, typer.Option(metavar="LINK", help="The link of the tool frame, z forwards.")] = None,
+    tool: Annotated[str | None, typer.Option(metavar="LINK", help="Link of the tool frame, with z forwards.")] = None,
     flange: Annotated[
-        str | None, typer.Option(metavar="LINK", help="The link that carries a gripper, z away from the arm.")
+        str | None, typer.Option(metavar="LINK", help="Link that carries the gripper, with z away from the arm.")
     ] = None,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Of the whole arm, as the data sheet says.")
+        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the whole arm by its data sheet.")
     ] = None,
-    repair: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a copy in which arithmetic repairs what it can.")
-    ] = None,
-    promises: Annotated[bool, typer.Option(help="Check what every robot promises.")] = True,
+    repair: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a repaired copy of the file.")] = None,
+    promises: Annotated[bool, typer.Option(help="Also check the contract of robots.")] = True,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write: FILE.png.")] = None,
     json: Json = False,
 ) -> None:
-    """Check an arm's file: all that is wrong with it, what is assumed and doubted, and what promises it breaks.
+    """Check an arm's URDF: its errors, the assumptions and doubts of karolos, and the promises that the arm breaks.
 
-    Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair a copy has masses from
-    convex hulls, torques from gravity, meshes that are found elsewhere, and says each change.
+    Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair karolos writes a copy:
+    masses from convex hulls, torques from gravity, meshes found elsewhere. The copy lists each change.
     """
     from karolos.plugins.robot_check import check_file
 
@@ -86,25 +84,26 @@ def check(
 def score(
     robots: Annotated[
         list[str],
-        typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
+        typer.Argument(metavar="FILE|NAME...", help="URDFs (paths, or installed:PACKAGE/PATH), or names of robots."),
     ],
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
-        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or one: ur5_pick.")
+        str,
+        typer.Option(metavar="ROBOT", help="Policies to play: those of ur5, panda or iiwa, or one such as ur5_pick."),
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Of the arm, where its file has to be repaired.")
+        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the arm, used if its file needs repair.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder of the page and its films. Default: ./NAME-score.")
+        Path | None, typer.Option(metavar="FOLDER", help="Folder for page and films. Default: ./NAME-score.")
     ] = None,
     json: Json = False,
 ) -> None:
-    """Play the policies that ship on a robot that they never saw: success, and why the other episodes fail.
+    """Play the shipped policies on a robot that they never saw: success, and the causes of failures.
 
-    Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
-    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all.
+    Nothing is trained. Writes a page with a film of each task, and score.json with the same numbers. A URDF that
+    cannot be used as it is gets repaired in a copy. Several robots get a folder each, and one table.
     """
     from karolos.files import write_json, writing
     from karolos.plugins.robot_score import (

@@ -52,9 +52,7 @@ if TYPE_CHECKING:
     from karolos.records.run_records import RunRecord, RunSummary
     from karolos.store import Store
 
-app = typer.Typer(
-    name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
-)
+app = typer.Typer(name="runs", help="List, show, label, stop, remove, export and import runs.", no_args_is_help=True)
 STOP_SECONDS = 0.2
 """Time between two looks whether a run has stopped."""
 WATCH_SECONDS = 2.0
@@ -68,27 +66,31 @@ def list_runs(
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
-    csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values with a line of names.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values with a header line.")] = False,
     state: Annotated[
         str | None,
-        typer.Option(metavar="STATE", help="Only runs that are created, running, finished, failed, stopped or lost."),
+        typer.Option(
+            metavar="STATE", help="List runs in this state: created, running, finished, failed, stopped or lost."
+        ),
     ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Only this number of runs, the newest.")] = None,
-    trials: Annotated[bool, typer.Option("--trials", help="List the runs of sweeps' trials, too.")] = False,
-    trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash instead.")] = False,
+    limit: Annotated[int | None, typer.Option(min=1, help="List only the newest runs, this number of them.")] = None,
+    trials: Annotated[bool, typer.Option("--trials", help="Also list the runs of sweeps.")] = False,
+    trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash.")] = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Show what runs where, until Ctrl-C or until no run waits or runs.")
+        bool, typer.Option("--watch", help="Show running and waiting runs live, until all have ended or until Ctrl-C.")
     ] = False,
     columns: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help="Only these columns: run, success_end, agent.learning_rate, ..."),
+        typer.Option(metavar="NAME,...", help="Show these columns: run, success_end, agent.learning_rate, ..."),
     ] = None,
     sort: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Sort by a column, the smallest first; -KEY: the largest first.")
+        str | None, typer.Option(metavar="KEY", help="Sort by this column, smallest first. -KEY: largest first.")
     ] = None,
-    group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its seeds.")] = False,
+    group: Annotated[
+        bool, typer.Option("--group", help="Print one row per experiment, with means over its seeds.")
+    ] = False,
 ) -> None:
-    """List runs, the newest first, or experiments with the means over their seeds."""
+    """List runs, newest first, or experiments with means over their seeds."""
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
@@ -212,7 +214,7 @@ def show(
     run: APolicy,
     everything: Annotated[
         bool,
-        typer.Option("--all", help="Show every test and setting, checkpoints, versions, command and git commit, too."),
+        typer.Option("--all", help="Also show all tests and settings, checkpoints, versions, command and git commit."),
     ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -270,10 +272,8 @@ def show(
 @app.command()
 def tag(
     run: LabelledRun,
-    tags: Annotated[
-        list[str], typer.Argument(metavar="TAG...", help="Words of your own.", autocompletion=complete_tag)
-    ],
-    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags instead.")] = False,
+    tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Any words.", autocompletion=complete_tag)],
+    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -295,7 +295,7 @@ def note(
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Set the note of a run, or of all runs of an experiment. It replaces the note before."""
+    """Set the note of a run, or of all runs of an experiment. It replaces the old note."""
     from karolos.records import labels
 
     if (text is None) != remove or text == "":
@@ -327,7 +327,7 @@ def _relabel(
 def remove(
     run: ManyRuns = None,
     where: Where = None,
-    purge: Annotated[bool, typer.Option("--purge", help="Empty the trash for good. Takes no RUN.")] = False,
+    purge: Annotated[bool, typer.Option("--purge", help="Delete the whole trash for good. Without RUN.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -358,9 +358,9 @@ def remove(
 
 @app.command()
 def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Stop a run after a checkpoint, whatever started it. Ctrl-C ends the waiting, and the run stops nevertheless.
+    """Write a checkpoint and stop a run, whatever started it. Other seeds of its experiment go on.
 
-    Other seeds of its experiment go on.
+    The command waits until the run has stopped. After Ctrl-C the run still stops, without the waiting.
     """
     from karolos.files import write_whole
 
@@ -404,10 +404,10 @@ def restore(
 
 @app.command("export")
 def export_runs(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Archive to write: a new .tar.gz.")],
     run: ManyRuns = None,
     where: Where = None,
-    checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
+    checkpoints: Annotated[bool, typer.Option(help="Include checkpoints, which can be large.")] = True,
     without_source: Annotated[
         bool,
         typer.Option(
@@ -418,7 +418,7 @@ def export_runs(
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
-    """Write run folders into an archive, which `karolos runs import` reads on another machine."""
+    """Write run folders into an archive. `karolos runs import` reads it on another machine."""
     from karolos.records import RunFolder, archive
 
     store, found = select_runs(run or (), where, runs, database)
@@ -434,13 +434,15 @@ def export_runs(
 
 @app.command("import")
 def import_runs(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz.")],
-    most: Annotated[float, typer.Option("--most", min=0, help="Most gigabytes that an archive may unpack to.")] = 64.0,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Archives: .tar.gz.")],
+    most: Annotated[
+        float, typer.Option("--most", min=0, help="Largest allowed size of an unpacked archive, in gigabytes.")
+    ] = 64.0,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Read runs from an archive into the runs folder: all of them or none. A run that already exists is refused."""
+    """Read all runs of an archive into the runs folder. If one of them already exists, none is read."""
     from karolos.records import archive
 
     with writing(runs):
@@ -465,14 +467,14 @@ def import_runs(
 def push_runs(
     selectors: ManyRuns = None,
     to: Annotated[
-        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="mlflow, wandb or trackio.")
+        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="Tracker: mlflow, wandb or trackio.")
     ] = "",
     where: Where = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Send runs to a tracker: tests, settings and records. A run that it has already is completed."""
+    """Send runs to a tracker: tests, settings and records. Runs that the tracker knows are completed."""
     from karolos.experiment.tracking import push
     from karolos.records import RunFolder
 

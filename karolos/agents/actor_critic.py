@@ -33,7 +33,9 @@ GOLDEN = (5**0.5 - 1) / 2
 class ActorCriticSettings(OptimiserSettings):
     """Settings of every agent with a policy of continuous actions and critics."""
 
-    discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
+    discount: float = Setting(
+        0.95, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+    )
     hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
     tau: float = Setting(0.05, gt=0, le=1, description="step of the target networks per update (Polyak averaging)")
     layer_norm: bool = Setting(False, description="layer normalisation in the critics: steadier, a little slower")
@@ -42,28 +44,27 @@ class ActorCriticSettings(OptimiserSettings):
     imitation: float = Setting(
         0.0,
         ge=0,
-        description="weight of the squared distance to demonstrated actions that the critics prefer; with "
-        "buffer.hindsight.imitate also to actions whose transition got a new goal",
+        description="weight of the squared distance to demonstrated actions, where the critics prefer these; with "
+        "buffer.hindsight.imitate also to actions of relabelled transitions",
     )
     cloning: bool = Setting(
         False,
-        description="behaviour cloning: the policy imitates all demonstrated actions, whatever the critics think, and "
-        "maximises no value",
+        description="behaviour cloning: the policy imitates all demonstrated actions and ignores the critics",
         json_schema_extra=LATER,
     )
     quiet: float = Setting(
         0.0,
         ge=0,
         le=1,
-        description="share of the environments in which training acts without noise and random actions; such episodes "
-        "show how precise the policy is",
+        description="share of the environments in which training acts without noise and without random actions; these "
+        "episodes show how precise the policy is",
         json_schema_extra=LATER,
     )
     policy_average: float = Setting(
         1.0,
         gt=0,
         le=1,
-        description="step, per policy update, of the average of the policy that acts in tests; 1: the policy itself",
+        description="tests use a moving average of the policy: its step per policy update; 1: the policy itself",
     )
     per_joint: bool = Setting(
         False, json_schema_extra=LATER, description="networks that treat joints alike; it needs robot.joint_slots"
@@ -134,7 +135,7 @@ class ActorCritic(TorchAgent):
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
-    """How many of the critics judge the policy's actions; None: all."""
+    """Number of critics that judge the policy's actions; None: all."""
     policy_columns: ClassVar[int] = 1
     """Outputs of the policy network per action column."""
     critic_kind: Critic = Critic()
@@ -152,8 +153,8 @@ class ActorCritic(TorchAgent):
         super().__init__(settings, signature, seeds, device)
         self.policy, self.critic = self._networks(signature)
         self.average = self.policy
-        """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
-        "Acceleration of Stochastic Approximation by Averaging")."""
+        """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky
+        1992, "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
@@ -189,7 +190,7 @@ class ActorCritic(TorchAgent):
         return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
-        """Raise a UsageError if it is to imitate and nothing shows how, or the reverse."""
+        """Raise a UsageError if the agent shall imitate without anything to imitate, or the reverse."""
         if self.settings.imitation == 0:
             super().check(buffer, demonstrations=demonstrations)
         elif not (demonstrations or buffer.marks_relabelled):
@@ -340,7 +341,9 @@ class Quantiles(BaseSettings):
     """
 
     quantiles: int = Setting(25, ge=2, le=1000, description="quantiles of the return per critic")
-    drop: int = Setting(2, ge=0, description="largest quantiles per critic left out of targets, against overestimation")
+    drop: int = Setting(
+        2, ge=0, description="largest quantiles per critic that targets leave out, against overestimation"
+    )
 
     @model_validator(mode="after")
     def _some_stay(self) -> Quantiles:

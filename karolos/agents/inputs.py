@@ -1,4 +1,4 @@
-"""From the arrays of an environment or a buffer to the tensors that agents compute with, normalised, and back."""
+"""Conversion of the arrays of environments and buffers to the normalised tensors of agents, and back."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torch import Tensor
 from ..core import Batch, FloatArray, State
 
 ALL_OBSERVED = 500
-"""The batches of this many first updates all enter the statistics of the normaliser."""
+"""Number of first updates whose batches all enter the statistics of the normaliser."""
 OBSERVED_EVERY = 4
-"""Later one batch in this many does: the statistics hardly move, and it takes 2 % of an update."""
+"""Later only every n-th batch enters them: the statistics hardly move, and it takes 2 % of an update."""
 ADOPTED_ROWS = 1_000_000
-"""How many rows the statistics of an exported policy count for; runs of 30,000 updates see twice as many."""
+"""Number of rows that an exported policy's statistics stand for. Runs of 30,000 updates see twice this number."""
 INPUT_CLIP = 5.0
 """Default bound of normalised inputs. Source: OpenAI baselines, HER (norm_clip)."""
 SMALLEST_SPREAD = 0.01
 """Lower bound of a column's standard deviation. Source: OpenAI baselines, HER (norm_eps)."""
 NONE_MISSING = slice(0, 0)
-"""No columns: goals enter as they are alone."""
+"""No columns: only the goals enter, not their difference."""
 
 
 class Normaliser:
@@ -31,7 +31,7 @@ class Normaliser:
     Only `update` changes the statistics; acting and tests leave them unchanged.
 
     Args:
-        columns: how many.
+        columns: their number.
         device: where the statistics live.
         clip: normalised columns are clipped to +- this.
         missing: the columns with desired minus achieved goal.
@@ -98,9 +98,9 @@ class Normaliser:
         return scaled
 
     def adopt(self, shift: Tensor, scale: Tensor) -> None:
-        """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
+        """Adopt the statistics that give `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
 
-        Columns behind theirs, which critics alone observe, keep mean 0 and deviation 1.
+        Further columns, which only critics observe, keep mean 0 and deviation 1.
         """
         mean, squares = torch.zeros_like(self.mean), torch.full_like(self.mean, ADOPTED_ROWS)
         mean[: len(shift)], squares[: len(scale)] = shift, ADOPTED_ROWS / scale.double().square()
@@ -118,9 +118,9 @@ class Normaliser:
 
 
 class TensorBatch(NamedTuple):
-    """A batch on the device. Observation and goal stand side by side, normalised: the input of a network.
+    """A batch on the device. Observation and goal are joined and normalised: the input of a network.
 
-    The critics' inputs also have the columns that critics alone observe, behind the policy's.
+    The critics' inputs end with the columns that only critics observe.
     """
 
     both_inputs: Tensor
@@ -149,7 +149,7 @@ def tensor_batch(
 ) -> TensorBatch:
     """The batch of an agent's update (the first is 0) as tensors.
 
-    Its inputs, relabelled goals included, first enter the statistics in early updates, and later in some.
+    Before that, its inputs with the relabelled goals enter the statistics: in every early update, later in some.
     `critic_only`: how many of the last columns of observations the policy does not see; `observed_goal`: see Signature.
     """
     count, size = batch.observation.shape

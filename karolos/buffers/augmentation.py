@@ -1,4 +1,4 @@
-"""Moves and mirrors sampled transitions, so that an agent learns for other places on the floor as well.
+"""Moves and mirrors sampled transitions, so that an agent also learns for other places on the floor.
 
 Source: Lin et al. 2019, "Invariant Transform Experience Replay", arXiv 1909.10707, which mirrors whole episodes. Here
 each sampled transition is mirrored or not, and moved, after hindsight has given it its goal.
@@ -30,8 +30,8 @@ SIGNS: Mapping[Kind, tuple[int, ...]] = {
 }
 """Kind of a field -> factors of its columns in a mirror at the plane y = 0.
 
-A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
-is the same thing if it is symmetric.
+A rotation R becomes M R M with M = diag(1, -1, 1): the rotation of the mirrored object, with its own y axis reversed.
+For a symmetric object this is the same object.
 """
 AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 3)}
 """1, 2 or 3 where a column is an x, y or z of a place, else 0."""
@@ -53,16 +53,16 @@ class Augmentation:
     """
 
     class Settings(BaseSettings):
-        mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
+        mirror: bool = Setting(True, description="mirror half of the transitions at the plane y = 0 of the world")
         shift: float = Setting(
-            0.1, ge=0, le=10, description="largest move of each transition along x and y of the world, m"
+            0.1, ge=0, le=10, description="largest shift of a transition along x and y of the world, m"
         )
         lift: float = Setting(
             0.0,
             ge=0,
             le=10,
             json_schema_extra=LATER,
-            description="largest move of each transition along z, m; for tasks in which nothing stands on the floor",
+            description="largest shift of a transition along z, m; only for tasks in which nothing stands on the floor",
         )
         twist: float = Setting(
             0.0,
@@ -73,7 +73,7 @@ class Augmentation:
             "tasks in which no direction of a tool need be called x, with actions along the axes of the base",
         )
         batches: int | None = Setting(
-            None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
+            None, ge=1, description="number of batches to change; later batches are left as they are; null: change all"
         )
 
     def __init__(self, settings: Augmentation.Settings, signature: Signature) -> None:
@@ -81,7 +81,7 @@ class Augmentation:
             raise UsageError("discrete actions have no mirror image", setting="buffer.augmentation", hint="remove it")
         self.settings = settings
         self.batches = 0
-        """Batches so far."""
+        """Number of batches so far."""
         changed = {
             "observation": signature.observation,
             "next_observation": signature.observation,
@@ -98,7 +98,7 @@ class Augmentation:
         self._rotations = np.flatnonzero(starts)
 
     def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
-        """Mirror half of the transitions and move all, each on its own. Columns for hindsight alone do not change."""
+        """Mirror half of the transitions and move all, each on its own. Columns only for hindsight do not change."""
         size, settings = len(stored.table), self.settings
         self.batches += 1
         if settings.batches is not None and self.batches > settings.batches:

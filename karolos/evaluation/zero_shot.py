@@ -28,7 +28,7 @@ REQUEST = "test.json"
 class ZeroShotTest:
     """A test that another process plays: the content of test.json in a folder of its own.
 
-    The result goes into the folder of the policy's run, as that of `karolos test`.
+    The result goes into the folder of the policy's run, as with `karolos test`.
     """
 
     run: str
@@ -42,7 +42,7 @@ class ZeroShotTest:
 
     @classmethod
     def read(cls, folder: Path) -> ZeroShotTest | None:
-        """The test of a folder; None if it is not a test's. Raises RunError if it is damaged."""
+        """The test of a folder; None if the folder holds no test. Raises RunError if it is damaged."""
         path = folder / REQUEST
         if not path.is_file():
             return None
@@ -86,19 +86,19 @@ def zero_shot_test(
 ) -> Evaluation:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
-    Nothing is written for a run that ships.
+    Nothing is written for a shipped run.
 
-    The result has the numbers of the same policy on the same episodes under the unchanged spec. They come from the
-    final test if that played these episodes; otherwise they are played, too. Where the run's engine is not installed,
-    another one takes its place, and the result's overrides name it.
+    The result also has the numbers of the same policy in the same episodes under the unchanged spec. They come from the
+    final test if it played these episodes; otherwise they are played, too. If the run's engine is not installed,
+    another one replaces it, and the result's overrides name it.
 
     Args:
         folder: the run's.
         overrides: as for `changed_spec`.
         checkpoint: `best` or `last`.
         episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
-        seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
-        randomize: whether to draw the spec's `randomization` at each reset.
+        seed: root of the episodes' seeds; by default that of the final test, whose episodes are held out.
+        randomize: whether to sample the spec's `randomization` at each reset.
         on_warning: is called with one line if the policy learned in another physics engine, and for each failure of an
             environment, whose episode is then played again.
         on_round: as for `play_episodes`; nothing is written if it raises an error.

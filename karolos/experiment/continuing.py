@@ -1,4 +1,4 @@
-"""Continues a finished run for more steps, as a run of its own that begins at its last checkpoint."""
+"""Continues a finished run for more steps, as a new run that begins at the last checkpoint."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from .resume import LAST, check_files, find_run
 from .writer import RunWriter
 
 CHANGEABLE = ("name", "training.steps", "training.device", "training.threads", "training.diverging")
-"""Settings that do not change what the steps before have made."""
+"""Settings that do not change the results of the earlier steps."""
 
 
 def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
     """The spec of the run that goes on from the end of a finished one.
 
     Raises:
-        UsageError: the run is not finished or ships without a checkpoint, an override changes more than CHANGEABLE, or
-            there are no more steps to take.
+        UsageError: the run is not finished or was shipped without a checkpoint, an override changes more than
+            CHANGEABLE, or training.steps is not larger.
         SpecError: an override is not valid.
     """
     for override in overrides:
@@ -46,7 +46,7 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
 
 
 def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolder:
-    """The run of `continued_spec`: one that exists, or a new one that has all that the source's has.
+    """The run of `continued_spec`: the existing one, or a new one with everything that the source has.
 
     Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
     """

@@ -10,7 +10,7 @@ from ..records import RunFolder
 
 
 def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
-    """Write README.md beside an exported policy. Its figures are those of the final test, or of the last test.
+    """Write README.md for an exported policy. Its figures are those of the final test, or of the last test.
 
     Raises:
         RunError: the run's spec is damaged.
@@ -43,7 +43,7 @@ def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
     dataset = {"name": environment, "type": environment.replace(" ", "-")}
     index = [{"name": algorithm, "results": [{"task": kind, "dataset": dataset, "metrics": metrics}]}]
     front = {"library_name": "karolos", "tags": ["reinforcement-learning", "robotics", environment.replace(" ", "-")]}
-    # JSON is YAML, so that no value of anybody's can end the front matter.
+    # JSON is YAML, and no value in JSON can end the front matter.
     header = "".join(f"{key}: {json.dumps(value)}\n" for key, value in {**front, "model-index": index}.items())
     git = about.get("git") or {}
     facts = {

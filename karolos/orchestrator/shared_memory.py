@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from ..core import FloatArray, Signature, Step
 
 ALIGNMENT = 64
-"""Bytes: each array begins at a multiple, so that no two arrays share a cache line."""
+"""Each array begins at a multiple of these bytes, so that arrays never share a cache line."""
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,9 @@
 """A matrix of transfers: trains every source, tests its policies on every target, and fine-tunes them there.
 
-The run of a variant is a source of policies, and what training from scratch achieves on that variant as a target.
-runs/transfers/<name>/ holds what no run holds:
+The run of a variant has two roles: it is a source of policies, and the training from scratch on that target.
+runs/transfers/<name>/ holds only what the runs do not hold:
     baselines.jsonl    success of random actions and of the scripted expert on each variant
-    tests/             what the processes of a launcher need for tests, while they are played
+    tests/             folders of zero-shot tests while a launcher's processes play them
     lock               held by the process of the matrix
 """
 
@@ -41,7 +41,7 @@ CHECKPOINT = "best"
 """The policy of a source that is tested and fine-tuned."""
 LONGEST_NAME = 64
 BASELINE_EPISODES = 200
-"""Most episodes of the random policy and of the expert: the first ones of the final test."""
+"""Largest number of episodes of the random policy and of the expert: the first ones of the final test."""
 
 Pair = tuple[str, str]
 """Source and target."""
@@ -105,10 +105,10 @@ class Matrix(Plan):
         self.baselines: dict[str, Baselines] = {}
         """Variant -> success without learning."""
         self.problems: list[str] = []
-        """Which runs and tests are missing, and why."""
+        """Missing runs and tests, with the reasons."""
 
     def __str__(self) -> str:
-        """What the matrix consists of, in one line."""
+        """The content of the matrix, in one line."""
         count, steps = len(self.spec.seeds), self.spec.training.steps
         parts = [f"{len(self.variants) * count} sources of {steps:,} steps"]
         if "zero_shot" in self.transfer.modes:
@@ -201,7 +201,7 @@ class Matrix(Plan):
             _require_checkpoint(folder)
 
     def _trained(self, spec: Spec) -> dict[int, RunFolder]:
-        """Seed -> finished run of this experiment under another name, for seeds that have none under the variant's."""
+        """Seed -> finished run of this experiment under another name, if the variant's name has none for the seed."""
         found: dict[int, RunFolder] = {}
         experiment = spec.hash()
         for folder in scan(self.home.runs):
@@ -307,7 +307,7 @@ def _require_checkpoint(folder: RunFolder) -> None:
 
 
 def measure_baselines(spec: Spec, path: Path) -> Baselines:
-    """Success of random actions and of the expert, from the file if they were measured already."""
+    """Success of random actions and of the expert, read from the file if it was measured before."""
     episodes = min(spec.testing.final_count or spec.testing.episodes, BASELINE_EPISODES)
     key = {"experiment": spec.hash(), "episodes": episodes}
     for row in read_lines(path).rows:

@@ -34,7 +34,7 @@ from .matrix import Matrix, Pair
 
 @dataclass(frozen=True)
 class TransferMetric:
-    """An estimate of a cell: how it is named, explained and shaded."""
+    """A metric of a cell: its name, explanation and shading."""
 
     title: str
     meaning: str
@@ -89,8 +89,8 @@ class Paired(Estimate):
 
     pairs: int
     alone: int
-    """Pairs that alone have a value, which smallest and largest are of. A ratio by 0 has none, nor has forward transfer
-    where training from scratch leaves nothing to gain."""
+    """Number of pairs with a value of their own; smallest and largest are taken over these. A ratio by 0 has no value,
+    and forward transfer has none if training from scratch leaves nothing to gain."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +100,9 @@ class Cell:
     source: str
     target: str
     estimates: Mapping[str, Estimate | None]
-    """By their names in METRICS; those without the runs or tests that they need are missing."""
+    """Metrics by their names in METRICS, without those whose runs or tests are missing."""
     reaching: Reaching | None
-    """When fine-tuning reached the threshold."""
+    """Steps at which fine-tuning reached the threshold."""
     tests: Mapping[int, Evaluation]
     """Seed -> zero-shot test."""
     runs: Mapping[int, RunRecord]
@@ -111,16 +111,16 @@ class Cell:
 
 @dataclass(frozen=True)
 class Variant:
-    """A source, which is also the training from scratch on a target."""
+    """A variant as a source, and as training from scratch on a target."""
 
     label: str
     runs: Mapping[int, RunRecord]
     """Seed -> finished run."""
     success: Estimate | None
-    """After its own training."""
+    """Results after its own training."""
     reaching: Reaching | None
     steps: float
-    """Environment steps of a run, mean over seeds: what a source costs."""
+    """Environment steps of a run, mean over seeds: the cost of a source."""
     seconds: float
     """Seconds of collecting and learning, mean over seeds."""
     floor: Estimate
@@ -138,7 +138,7 @@ class TransferReport:
     seeds: tuple[int, ...]
     variants: tuple[Variant, ...]
     cells: tuple[Cell, ...]
-    """Source by source, the diagonal included."""
+    """Cells by source, including the diagonal."""
     learning: Mapping[str, Comparison]
     """Target -> training from scratch and fine-tuning from each source."""
     warnings: tuple[str, ...]
@@ -202,14 +202,14 @@ def _reaching_row(found: Reaching | None) -> dict[str, Any] | None:
 
 
 def transfer_report(found: Matrix) -> TransferReport:
-    """The numbers of the runs and tests of a matrix, after they were made."""
+    """The numbers of a matrix, from its runs and tests."""
     settings = found.transfer
     tree, threshold = SeedTree(0).child("transfer"), settings.threshold
     untested: list[str] = []
     scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
     tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
     tests = {pair: dict(each) for pair, each in found.zero_shot.items()}
-    for (source, _), each in found.zero_shot.items():  # the own test comes with any target's
+    for (source, _), each in found.zero_shot.items():  # a test on any target includes the test on the own variant
         tests.setdefault((source, source), {}).update({seed: test.own for seed, test in each.items() if test.own})
     cells = []
     for source, target in product(scratch, repeat=2):
@@ -285,7 +285,7 @@ def _zero_shot(
 def _fine_tuned(
     runs: Mapping[int, RunRecord], scratch: Mapping[int, RunRecord], threshold: float, tree: SeedTree
 ) -> dict[str, Estimate | None]:
-    """The estimates of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
+    """The estimates of a cell from fine-tuning. Comparisons use the seeds that both sides have."""
     reported = _reported(runs, tree.child("fine tuned"))
     if reported is None:
         return {}
@@ -326,7 +326,7 @@ def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> N
 
 
 def _time(run: RunRecord, threshold: float) -> tuple[float, bool]:
-    """Steps at which a run reached the threshold, or at which it ended without; and whether it did."""
+    """Steps at which a run reached the threshold or, without reaching it, ended; and whether it reached it."""
     at = places(run, "steps").tolist()
     reached = first_reaching(run.values("end"), at, threshold)
     return (at[-1], False) if reached is None else (reached, True)
@@ -354,7 +354,7 @@ def matrix_table(report: TransferReport, name: str) -> Table:
 
 
 def variants_table(report: TransferReport) -> Table:
-    """One row per variant: what it costs as a source, and what is possible on it as a target."""
+    """One row per variant: its cost as a source, and the reachable success on it as a target."""
     columns: Columns[Variant] = {
         "variant": lambda one: one.label,
         "success from scratch": lambda one: tables.estimate(one.success),
@@ -381,7 +381,7 @@ def _shown(name: str, cell: Cell) -> str:
 
 
 def verdict(report: TransferReport) -> str:
-    """What the matrix says about transfer between different variants, in a sentence or two."""
+    """Summary of the transfer between different variants, in a sentence or two."""
     pairs = [cell for cell in report.cells if cell.source != cell.target]
     found = [(one.value, cell) for cell in pairs if (one := cell.estimates.get("zero_shot")) is not None]
     if not found:

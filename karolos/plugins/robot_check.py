@@ -1,4 +1,4 @@
-"""Everything that somebody should know of an arm's file, at once: what is wrong, assumed, doubted, and not kept."""
+"""Report on an arm's file: its errors, the assumptions and doubts of karolos, and broken promises."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from .contracts import candidate, cases, results
 from .inspection import picture
 
 Row = dict[str, Any]
-"""What is said of a file: its kind (wrong, assumed, doubted, promise), and the text."""
+"""A statement about a file: its kind (wrong, assumed, doubted, promise), and the text."""
 
 
 def check_file(
     path: Path, *, repaired: Path | None = None, mass: float | None = None, promises: bool = True, **known: Any
 ) -> Iterator[Row]:
-    """What is wrong with an arm's file, what is assumed and doubted, and which promises it keeps.
+    """Errors, assumptions and doubts of an arm's file, and the promises that it breaks.
 
-    A file that cannot be used as it is goes on as its repaired copy, if that can be used.
+    A file that cannot be used as it is is replaced by its repaired copy, if that can be used.
 
     Args:
         path: of the URDF.

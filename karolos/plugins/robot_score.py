@@ -1,4 +1,4 @@
-"""Score of a robot: its success with policies that never saw it, and why the other episodes fail."""
+"""Score of a robot: its success with policies that never saw it, and the causes of failures."""
 
 from __future__ import annotations
 
@@ -41,10 +41,10 @@ CAUSES = {
     "unreachable": "actions do not move the tool any more",
     "out of time": "none of these",
 }
-"""Why an episode fails, the first that applies."""
+"""Causes of a failure; the first one that applies counts."""
 AT_LIMIT, STUCK_STEPS, STUCK, WANTED = 0.01, 5, 0.1, 0.5
-"""rad from the end of a range; and control steps, in each of which the tool moves by less than this share of a
-`tool_step` while the action is larger than the last number."""
+"""Distance from the end of a joint's range, rad. Number of control steps; in each the tool moves by less than this
+share of a `tool_step`, while the action is larger than the last number."""
 
 
 @dataclass(frozen=True)
@@ -56,21 +56,21 @@ class PolicyScore:
     task: str
     episodes: int
     success: float | None
-    """Fraction of the episodes whose goal held at the last step; None: the robot and the task do not go together."""
+    """Fraction of the episodes whose goal held at the last step; None: the robot does not fit the task."""
     low: float | None = None
     """Lower end of the 95 % Wilson interval."""
     high: float | None = None
     causes: dict[str, int] = field(default_factory=dict)
     """Failed episodes by cause, see `CAUSES`."""
     refused: str | None = None
-    """Why the robot does not do the task."""
+    """Why the robot does not fit the task."""
     seconds: float = 0.0
     film: str | None = None
-    """Of the first failure, or of the first episode if none fails."""
+    """Film of the first failure, or of the first episode if none fails."""
 
 
 class Watch:
-    """Looks at an arm during one episode, to say afterwards why it failed."""
+    """Observes an arm during one episode, to find the cause of a failure."""
 
     def __init__(self, environment: RobotTask, policy: Policy) -> None:
         self._environment, self._act = environment, policy.act
@@ -88,7 +88,7 @@ class Watch:
         return action
 
     def see(self, moment: Moment) -> None:
-        """Look after a control step."""
+        """Record the state after a control step."""
         if moment.step == 0:
             self._clear()
             self._place = self._arm.tool_position
@@ -110,7 +110,7 @@ class Watch:
 
     @property
     def cause(self) -> str:
-        """Why the episode, which is over, failed."""
+        """The cause of failure of the finished episode."""
         arm = self._arm
         stuck = all(way < STUCK * arm.tool_step and action > WANTED for way, action in self._ways)
         overloaded = arm.stops > 0 or getattr(self._environment.task, "overloaded", False)
@@ -123,7 +123,7 @@ class Watch:
 
 
 def policies_of(robot: str) -> list[str]:
-    """Names of the policies that ship, trained on this robot. Raises UsageError if there are none."""
+    """Names of the shipped policies that were trained on this robot. Raises UsageError if there are none."""
     found = [name for name in shipped_names() if name.startswith(f"{robot}_")]
     if not found:
         known = sorted({name.partition("_")[0] for name in shipped_names()})
@@ -132,7 +132,7 @@ def policies_of(robot: str) -> list[str]:
 
 
 def refused(policy: str, episodes: int, error: KarolosError) -> PolicyScore:
-    """The score of a policy on a robot that does not do its task, or that cannot be used at all."""
+    """The score of a policy on a robot that does not fit its task, or that cannot be used at all."""
     return PolicyScore(policy, policy.partition("_")[2], episodes, None, refused=" ".join(str(error).splitlines()))
 
 
@@ -145,7 +145,7 @@ def score_policy(
         name: of the shipped run.
         overrides: name the robot, as for `changed_spec`.
         episodes: to play.
-        film: of the first failure, or of the first episode if none fails: file to write.
+        film: file to write, with the first failure, or the first episode if none fails.
         size: of the film in pixels.
     """
     started = perf_counter()
@@ -153,7 +153,7 @@ def score_policy(
     task = name.partition("_")[2]
     try:
         player = load_player(folder, "last", overrides)
-    except KarolosError as error:  # the robot and the task do not go together
+    except KarolosError as error:  # the robot does not fit the task
         return refused(name, episodes, error)
     environment, seed = player.environment, player.spec.testing.final_seed
     causes: Counter[str] = Counter()
@@ -212,7 +212,7 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
 
 
 def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
-    """A row for each task. The arm is the unit: mean over arms with its bootstrap interval, least, and who is left out.
+    """A row for each task. The arm is the unit: mean over arms with bootstrap interval, minimum, and arms left out.
 
     Args:
         scores: name and scores of each arm.
@@ -238,7 +238,7 @@ def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
 
 
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
-    """Write the page of a robot's scores; the names of tasks lead to the films beside it. Raises MachineError."""
+    """Write the page of a robot's scores. Names of tasks link to films in the same folder. Raises MachineError."""
     done = [one for one in scores if one.success is not None]
     good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks surely above 90 %, nothing trained"
     table, notes = scores_table(scores), [f"{cause}: {what}" for cause, what in CAUSES.items()]

@@ -1,4 +1,4 @@
-"""Control modes: what the actions of an arm change, and how its motors do it."""
+"""Control modes: what an arm's actions change, and how its motors follow."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ MOST_ROOM = 10.0
 
 
 class ControlledArm(Protocol):
-    """What a control mode needs of an arm, see `arm.Arm`."""
+    """The part of an arm that a control mode needs, see `arm.Arm`."""
 
     settings: ArmSettings
     limits: JointLimits
@@ -66,13 +66,13 @@ class ControlledArm(Protocol):
 
 
 class Way(NamedTuple):
-    """Where an expert wants the tool to go."""
+    """The way that an expert wants the tool to go."""
 
     target: Pose
     joints: Sequence[float]
     """Change of each joint that leads there, in rad."""
     slower: float
-    """How many times slower than at once it may go there, at least, to stop in time."""
+    """Smallest factor by which the motion must be slower than in one step, to stop in time."""
 
 
 class Control:
@@ -81,9 +81,9 @@ class Control:
     Attributes:
         turns_joints: whether actions change joint positions.
         turns_tool: whether the tool may be turned away from pointing down.
-        observed: what is observed of the tool.
-        observed_joints: what is observed of the joints.
-        action: what the action changes, without the gripper.
+        observed: observed fields of the tool.
+        observed_joints: observed fields of the joints.
+        action: fields of the action, without the gripper.
     """
 
     turns_joints: ClassVar[bool] = False
@@ -97,7 +97,7 @@ class Control:
 
     @property
     def scales(self) -> dict[str, tuple[str, list[float]]]:
-        """What an action of 1 changes in a control step at the most: field of `action` -> unit, and each column's."""
+        """Largest change by an action of 1 in a control step: field of `action` -> unit, and change of each column."""
         arm = self.arm
         return {
             **({} if arm.settings.joint_slots else {"joint_changes": ("rad", list(arm.joint_step))}),
@@ -211,7 +211,7 @@ class JointControl(Control):
 
 
 class CartesianControl(Control):
-    """An action changes the position of the tool, which points down, and its yaw if the arm's settings say so."""
+    """An action changes the position of the tool, which points down, and with the setting `yaw` its yaw."""
 
     turns_tool = False
 
@@ -291,7 +291,7 @@ class PoseControl(Control):
         return self._way(self.arm.configuration.tool, way.target, way.slower)
 
     def _way(self, start: Pose, target: Pose, slower: float) -> list[float]:
-        """The action that leads from one pose to another, at least so much slower than at once."""
+        """The action that leads from one pose to another, slower than in one step by at least this factor."""
         arm = self.arm
         shift: Sequence[float] = [there - here for there, here in zip(target.position, start.position, strict=True)]
         turn = rotation_vector(multiply(target.orientation, inverse(start.orientation)))
@@ -306,12 +306,12 @@ class PoseControl(Control):
 class ImpedanceControl(PoseControl):
     """As pose control, but an action moves the set point of a spring and damper at the tool, which gives way.
 
-    The set point stays where actions brought it. An arm that is told nothing holds its place under a load, and one that
-    is told to go on presses on a wall with as much as the largest error allows. (A set point that began at the tool in
-    each step would sink with a load, and could press with the force of one step only.) An error beyond the largest is
-    forgotten, so that the way back from a wall is short. What is left is all that the next step depends on and is
-    observed: `set_point`, the way from the tool to the set point in m, and as a rotation vector in rad. Times the
-    stiffness it is the force.
+    The set point stays where actions moved it. With zero actions the arm holds its place under a load. With further
+    actions it presses on a wall, up to the force of the largest error. (A set point that starts at the tool in each
+    step would sink with a load, and could press only with the force of one step.) The part of the error above the
+    largest one is discarded, so that the way back from a wall is short. The next step depends only on the rest, which
+    is observed as `set_point`: the way from the tool to the set point in m, and as a rotation vector in rad. Multiplied
+    by the stiffness it is the force.
     """
 
     observed = (*PoseControl.observed, Field("set_point", 6, "m, rad", kind="wrench"))
@@ -325,7 +325,7 @@ class ImpedanceControl(PoseControl):
         self._attach(self.arm.settings.stiffness)
 
     def _attach(self, stiffness: float) -> None:
-        """Let a spring of so many N/m move the tool; its other numbers are those of the episode."""
+        """Let a spring with this stiffness in N/m move the tool. Its other numbers are those of the episode."""
         settings, value = self.arm.settings, self.arm.value
         limits = settings.error_limit, settings.turn_error_limit
         self.arm.motors.attach(
@@ -354,7 +354,7 @@ class ImpedanceControl(PoseControl):
         arm.motors.aim((x, y, z), orientation, speed, (a / arm.period, b / arm.period, c / arm.period))
 
     def _cut(self) -> None:
-        """Bring the set point so near to the tool that no error is beyond the largest."""
+        """Move the set point towards the tool until no error exceeds the largest."""
         tool, (error, turn) = self.arm.configuration.tool, self._error()
         x, y, z = (own + ahead for own, ahead in zip(tool.position, error, strict=True))
         self._position, self._orientation = (x, y, z), multiply(rotation_about(turn), tool.orientation)

@@ -1,4 +1,4 @@
-"""An arm from somebody's file, without a package: `robot: {name: urdf, file: arm.urdf, gripper: robotiq_2f85}`."""
+"""An arm from a file, without a package: `robot: {name: urdf, file: arm.urdf, gripper: robotiq_2f85}`."""
 
 from __future__ import annotations
 
@@ -27,37 +27,35 @@ _PROPOSAL = TypeAdapter(Proposal)
 
 
 class FromFile(Arm):
-    """An arm from a URDF. What the file does not say is assumed; `karolos robot check FILE` tells it.
+    """An arm from a URDF. Missing facts are assumed; `karolos robot check FILE` lists the assumptions.
 
-    The file and its meshes are a part of the experiment, by their content. A gripper takes the place of the file's own
-    hand. What is assumed is computed once, and kept in the user's cache folder.
+    The content of the file and its meshes belongs to the experiment. A gripper replaces the hand in the file. The
+    assumptions are computed once, and kept in the user's cache folder.
     """
 
     class Settings(ArmSettings):
-        """The settings of every arm, and those that take the place of an assumption."""
+        """The settings of every arm, and settings that replace an assumption."""
 
         file: str = Setting(
-            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder, or "
-            "of a package: installed:PACKAGE/PATH"
+            description="a URDF or MJCF file: a path relative to the spec (in overrides: to the current folder), or "
+            "installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
-            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
+            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as in the file"
         )
-        tool: str | None = Setting(None, description="the link of the tool frame, z forwards; null: by usual names")
-        flange: str | None = Setting(
-            None, description="the link that carries a gripper, z away from the arm; null: found"
-        )
+        tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
+        flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
         flange_yaw: float | None = Setting(
             None, ge=-7, le=7, description="turn of a gripper about the flange's z, rad; null: its fingers close across"
         )
         home: tuple[float, ...] | None = Setting(
-            None, description="joint positions with the tool pointing down, rad; null: by inverse kinematics"
+            None, description="joint positions in which the tool points down, rad; null: by inverse kinematics"
         )
         workspace: tuple[Vector, Vector] | None = Setting(
             None,
-            description="lower and upper corner of what the tool reaches pointing down, m; null: as far as it does",
+            description="lower and upper corner of the tool's reach while it points down, m; null: computed",
         )
-        payload: float | None = Setting(None, gt=0, description="what the flange carries, gripper included, kg")
+        payload: float | None = Setting(None, gt=0, description="largest load of the flange with the gripper, kg")
 
     settings: Settings
 
@@ -68,7 +66,7 @@ class FromFile(Arm):
 
 
 def proposal_of(settings: FromFile.Settings) -> Proposal:
-    """The arm that a file is taken for, from the user's cache folder if it was computed before. Raises as `propose`."""
+    """The arm proposed for a file, from the user's cache folder if it was computed before. Raises as `propose`."""
     known = Known(
         tool=settings.tool,
         flange=settings.flange,
@@ -94,9 +92,9 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
 
 @lru_cache(maxsize=64)
 def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float | None) -> Proposal:
-    """`propose`, from the user's cache folder if these contents were proposed for before."""
+    """`propose`, read from the user's cache folder if it was computed before for these contents."""
     place = None
-    with suppress(RuntimeError, OSError, ValidationError):  # without a home, or of a damaged file: computed again
+    with suppress(RuntimeError, OSError, ValidationError):  # no home, or a damaged file: compute it again
         place = user_cache() / "karolos" / "robots" / f"{key}.json"
         found = _PROPOSAL.validate_json(place.read_bytes())
         if (path.suffix.lower() not in MJCF and mass is None) or found.model.urdf.is_file():
@@ -112,7 +110,7 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float
 
 
 def _as_urdf(path: Path, mass: float | None, beside: Path | None) -> tuple[Path, list[str]]:
-    """The file, or a URDF that is made of it in the cache folder, and notes on what is made."""
+    """The file, or a URDF made from it in the cache folder, with notes on the changes."""
     if path.suffix.lower() not in MJCF and mass is None:
         return path, []
     if beside is None:
@@ -129,7 +127,7 @@ def _as_urdf(path: Path, mass: float | None, beside: Path | None) -> tuple[Path,
 
 @lru_cache(maxsize=1)
 def _source() -> list[str | None]:
-    """What proposals depend on besides the file."""
+    """The code on which proposals depend, in addition to the file."""
     here = Path(__file__).parent
     files = (
         "repair.py",

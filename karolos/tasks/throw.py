@@ -95,19 +95,17 @@ class Throw(CubeTask):
     class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="at landing: 1 or 0, or by the distance")
         failure_cost: float = Setting(
-            0.0, ge=0, le=1, description="of a cube put down, and of an arm that touches something or stops"
+            0.0, ge=0, le=1, description="cost of putting the cube down, and of an arm that touches something or stops"
         )
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
-        share: float = Setting(
-            0.9, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest throw"
-        )
-        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        share: float = Setting(0.9, gt=0, le=1, description="share of the possible distances in which targets lie")
+        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
         start_range: Annotated[float, Drawn("m", 0.0, 0.5)] = Setting(
-            0.05, ge=0, le=0.5, description="of the tool about home along each axis, within the workspace, m"
+            0.05, ge=0, le=0.5, description="of the tool from home along each axis, in the workspace, m"
         )
         end_at_release: Probability = Setting(
-            0.0, description="probability that an episode ends at the release, its landing computed"
+            0.0, description="probability that an episode ends at the release and its landing is computed"
         )
 
     settings: Throw.Settings
