@@ -67,7 +67,10 @@ class ActorCriticSettings(OptimiserSettings):
         description="tests use a moving average of the policy: its step per policy update; 1: the policy itself",
     )
     per_joint: bool = Setting(
-        False, json_schema_extra=LATER, description="networks that treat joints alike; it needs robot.joint_slots"
+        False,
+        json_schema_extra=LATER,
+        description="networks that treat all joints alike, for policies of many arms: the first of `hidden` are units "
+        "for each joint, the others for all; in float32; it needs robot.joint_slots",
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
@@ -75,6 +78,12 @@ class ActorCriticSettings(OptimiserSettings):
     def _cloning_imitates(self) -> Any:
         if self.cloning and not self.imitation:
             raise ValueError("cloning needs imitation above 0, the weight of what it learns")
+        return self
+
+    @model_validator(mode="after")
+    def _joints_have_units(self) -> Any:
+        if self.per_joint and len(self.hidden) < 2:
+            raise ValueError("per_joint needs two numbers in hidden: units for each joint, then units for all")
         return self
 
 
@@ -178,15 +187,13 @@ class ActorCritic(TorchAgent):
         if not seen or len(seen) != len(moved):
             what, hint = "observations and actions do not describe joints", "set robot.joint_slots, or per_joint: false"
             raise UsageError(what, setting="agent.per_joint", hint=hint)
-        # the mean of each action, then, in SAC, its deviation
+        # of each joint the mean of its actions and, in SAC, the deviation
         each = [
-            [self.actions * part + column for part in range(self.policy_columns) for column in row] for row in moved
+            [part * self.actions + column for part in range(self.policy_columns) for column in row] for row in moved
         ]
+        policy_shape = JointShape(sizes, joints=_frozen(seen), each=_frozen(each))
         both = [[*row, *(before + column for column in action)] for row, action in zip(seen, moved, strict=True)]
-        none = [list[int]() for _ in seen]
-        tables = (tuple(map(tuple, table)) for table in (seen, each, both, none))
-        policy_shape = JointShape(sizes, joints=next(tables), each=next(tables))
-        critic_shape = JointShape(critic_sizes, joints=next(tables), each=next(tables), **more)
+        critic_shape = JointShape(critic_sizes, joints=_frozen(both), each=((),) * len(seen), **more)
         return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
@@ -320,6 +327,10 @@ class ActorCritic(TorchAgent):
             what, hint = "networks that treat joints alike have no file for use without karolos", "train without it"
             raise UsageError(what, setting="agent.per_joint", hint=hint)
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
+
+
+def _frozen(table: list[list[int]]) -> tuple[tuple[int, ...], ...]:
+    return tuple(map(tuple, table))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

@@ -91,10 +91,13 @@ class Arm:
     with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
     tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
     with a gripper that actions move gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it
-    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s).
+    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s). With
+    `joint_slots` (s) instead, for each of s joints, 0 where there is none: joint_effects (6 s, how far an action of 1
+    moves the tool in m and turns it in rad), joint_rooms (2 s, to the lower and the upper limit, at most MOST_ROOM),
+    joint_speeds (s) and joint_accelerations (s, at most 1), all three in joint steps and control steps.
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
-    joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
+    joint control instead joint_changes (n or s, in joint steps); with a gripper gripper_opening (1, -1 closed
     to 1 open; a cup sucks below 0). With `timed_release` a gripper that holds something and is told to open lets go
     within the control step. The less the action exceeds the current opening, the later it lets go.
     """
