@@ -19,11 +19,12 @@ from ..core.settings import LATER
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
+from .joint_network import JointNetwork, JointShape
 from .layers import Tape
 from .networks import MLP, NetworkShape
 from .noise import Noise
 from .optimisation import Metrics
-from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent, joint_columns, value_bounds
 
 GOLDEN = (5**0.5 - 1) / 2
 """The golden ratio, less 1."""
@@ -65,12 +66,24 @@ class ActorCriticSettings(OptimiserSettings):
         le=1,
         description="tests use a moving average of the policy: its step per policy update; 1: the policy itself",
     )
+    per_joint: bool = Setting(
+        False,
+        json_schema_extra=LATER,
+        description="networks that treat all joints alike, for policies of many arms: the first of `hidden` are units "
+        "for each joint, the others for all; in float32; it needs robot.joint_slots",
+    )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
     @model_validator(mode="after")
     def _cloning_imitates(self) -> Any:
         if self.cloning and not self.imitation:
             raise ValueError("cloning needs imitation above 0: this is the weight of the demonstrated actions")
+        return self
+
+    @model_validator(mode="after")
+    def _joints_have_units(self) -> Any:
+        if self.per_joint and len(self.hidden) < 2:
+            raise ValueError("per_joint needs two numbers in hidden: units for each joint, then units for all")
         return self
 
 
@@ -127,7 +140,7 @@ class ActorCritic(TorchAgent):
 
     on_policy: ClassVar[bool] = False
     critics_see_more: ClassVar[bool] = True
-    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm", "per_joint")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
@@ -147,22 +160,41 @@ class ActorCritic(TorchAgent):
             )
         self.actions = actions = signature.action.size
         super().__init__(settings, signature, seeds, device)
-        bfloat16 = uses_bfloat16(settings.precision, device)
-        shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
-        self.policy = MLP(shape, self.weights_generator, device)
+        self.policy, self.critic = self._networks(signature)
         self.average = self.policy
         """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky
         1992, "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (self.inputs + self.critic_only + actions, *settings.hidden, self.critic_kind.columns)
-        shape = NetworkShape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
-        self.critic = MLP(shape, self.weights_generator, device)
         self.target = self.critic.copy()
         self.noise = Noise(settings.noise, self.inputs, actions, self.device)
         self.optimisers = {"policy": self.adam(self.policy.vector), "critic": self.adam(self.critic.vector)}
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
+
+    def _networks(self, signature: Signature) -> tuple[MLP, MLP]:
+        """The policy and the critics, as the settings say."""
+        settings, generator, device = self.settings, self.weights_generator, str(self.device)
+        before = self.inputs + self.critic_only
+        sizes = (self.inputs, *settings.hidden, self.policy_columns * self.actions)
+        critic_sizes = (before + self.actions, *settings.hidden, self.critic_kind.columns)
+        more: dict[str, Any] = {"members": self.critics, "layer_norm": settings.layer_norm}
+        if not settings.per_joint:
+            bfloat16 = uses_bfloat16(settings.precision, device)
+            policy = MLP(NetworkShape(sizes, bfloat16=bfloat16), generator, device)
+            return policy, MLP(NetworkShape(critic_sizes, bfloat16=bfloat16, **more), generator, device)
+        seen, moved = joint_columns(signature.observation.acting), joint_columns(signature.action)
+        if not seen or len(seen) != len(moved):
+            what, hint = "observations and actions do not describe joints", "set robot.joint_slots, or per_joint: false"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
+        # of each joint the mean of its actions and, in SAC, the deviation
+        each = [
+            [part * self.actions + column for part in range(self.policy_columns) for column in row] for row in moved
+        ]
+        policy_shape = JointShape(sizes, joints=_frozen(seen), each=_frozen(each))
+        both = [[*row, *(before + column for column in action)] for row, action in zip(seen, moved, strict=True)]
+        critic_shape = JointShape(critic_sizes, joints=_frozen(both), each=((),) * len(seen), **more)
+        return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
         """Raise a UsageError if the agent shall imitate without anything to imitate, or the reverse."""
@@ -291,7 +323,14 @@ class ActorCritic(TorchAgent):
 
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
+        if self.settings.per_joint:
+            what, hint = "networks that treat joints alike have no file for use without karolos", "train without it"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
+
+
+def _frozen(table: list[list[int]]) -> tuple[tuple[int, ...], ...]:
+    return tuple(map(tuple, table))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

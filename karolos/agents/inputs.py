@@ -36,6 +36,7 @@ class Normaliser:
         clip: normalised columns are clipped to +- this.
         missing: the columns with desired minus achieved goal.
         fine: factor of these columns over their spread; not the clip but tanh bounds them.
+        alike: columns of several things of one kind, a row each: divided by the root mean square over all of them.
     """
 
     def __init__(
@@ -46,8 +47,10 @@ class Normaliser:
         clip: float = INPUT_CLIP,
         missing: slice = NONE_MISSING,
         fine: float = 1.0,
+        alike: Sequence[Sequence[int]] = (),
     ) -> None:
         self.clip, self.missing, self.fine = clip, missing, fine
+        self._alike = torch.tensor(alike, dtype=torch.int64, device=device)
         self.count = 0
         """Rows seen so far."""
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
@@ -79,6 +82,10 @@ class Normaliser:
         self.shift[self.missing] = 0.0
         if self.count:  # before the first update inputs pass unchanged, also in an agent that was loaded
             self.scale[self.missing] *= self.fine
+            if len(self._alike):
+                square = (self._squares / self.count + self.mean.square())[self._alike].mean(0)
+                self.shift[self._alike] = 0.0
+                self.scale[self._alike] = square.sqrt().clamp_(min=SMALLEST_SPREAD).reciprocal().float()
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and bounded; a new tensor. With fewer columns: the first ones."""

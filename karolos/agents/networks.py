@@ -174,7 +174,7 @@ class MLP:
 
     def copy(self) -> MLP:
         """A network with equal parameters in a vector of its own: a target network."""
-        other = MLP(self.shape, torch.Generator(), str(self.vector.device))
+        other = type(self)(self.shape, torch.Generator(), str(self.vector.device))
         other.vector.copy_(self.vector.detach())
         return other
 

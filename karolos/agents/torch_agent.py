@@ -20,9 +20,11 @@ from ..core import (
     AgentSettings,
     Batch,
     Deployed,
+    Discrete,
     Experience,
     FloatArray,
     Layer,
+    Layout,
     Output,
     SeedTree,
     Signature,
@@ -37,6 +39,16 @@ from .optimisation import Adam
 
 Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting(min_length=1, max_length=32)]
 """Units of each hidden layer."""
+
+
+def joint_columns(layout: Layout | Discrete) -> list[list[int]]:
+    """For each joint that the layout describes its columns; empty if it describes none."""
+    if isinstance(layout, Discrete):
+        return []
+    columns, fields = np.arange(layout.size), [field for field in layout.fields if field.joints]
+    tables = [columns[layout.slice(field.name)].reshape(field.joints, -1) for field in fields]
+    rows: list[list[int]] = np.concatenate(tables, 1).tolist() if tables else []
+    return rows
 
 
 class OptimiserSettings(AgentSettings):
@@ -115,6 +127,7 @@ class TorchAgent(Agent[Experience]):
             clip=input_clip,
             missing=slice(goals, self.inputs) if self.missing[0] else NONE_MISSING,
             fine=settings.fine_goal or 1.0,
+            alike=joint_columns(signature.observation.acting),
         )
         self.weights_generator = torch.Generator().manual_seed(seeds.child("weights").integer())
         """Samples the weights of the networks, on the CPU."""

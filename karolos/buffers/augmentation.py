@@ -35,13 +35,17 @@ For a symmetric object this is the same object.
 """
 AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 3)}
 """1, 2 or 3 where a column is an x, y or z of a place, else 0."""
+STARTS: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()}
+STARTS = {**STARTS, "rotation": (1, 0, 0, 0, 0, 0)}
+"""1 where a rotation begins, else 0."""
 
 
 class Augmentation:
     """Changes sampled transitions in place, by the kinds of their fields, see `Field.kind`.
 
     It is correct if robot and task are the same everywhere on the floor and in a mirror. That holds if actions move the
-    tool, except at the edge of the workspace and for an arm's own asymmetry. It never holds if actions move joints.
+    tool, except at the edge of the workspace and for an arm's own asymmetry. If actions move joints, it holds only if
+    observations say how each moves the tool (`robot.joint_slots`).
 
     Raises:
         UsageError: the kind of a field is not known, or actions are discrete.
@@ -59,6 +63,14 @@ class Augmentation:
             le=10,
             json_schema_extra=LATER,
             description="largest shift of a transition along z, m; only for tasks in which nothing stands on the floor",
+        )
+        twist: float = Setting(
+            0.0,
+            ge=0,
+            le=3.1416,
+            json_schema_extra=LATER,
+            description="largest turn of the frames of tool and goal about their own z, the same for both, rad; for "
+            "tasks in which no direction of a tool need be called x, with actions along the axes of the base",
         )
         batches: int | None = Setting(
             None, ge=1, description="number of batches to change; later batches are left as they are; null: change all"
@@ -78,9 +90,12 @@ class Augmentation:
         }
         columns = transition_layout(signature)
         self._signs, self._axes = np.ones(columns.size, np.float32), np.zeros(columns.size, np.int64)
+        starts = np.zeros(columns.size, np.int64)
         for name, layout in changed.items():
             self._signs[columns.slice(name)] = _columns(layout, SIGNS)
             self._axes[columns.slice(name)] = _columns(layout, AXES)
+            starts[columns.slice(name)] = _columns(layout, STARTS)
+        self._rotations = np.flatnonzero(starts)
 
     def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
         """Mirror half of the transitions and move all, each on its own. Columns only for hindsight do not change."""
@@ -94,6 +109,8 @@ class Augmentation:
         if settings.lift:
             way[:, 2] = (2 * generator.random(size, np.float32) - 1) * np.float32(settings.lift)
         self.change(stored, mirrored, way)
+        if settings.twist:
+            _twist(stored.table, settings.twist * (2 * generator.random(size, np.float32) - 1), self._rotations)
 
     def change(self, stored: StoredTransitions, mirrored: BoolArray, way: FloatArray) -> None:
         """Mirror the marked transitions (n,), then move each by its vector in `way` (n, 3), in m."""
@@ -108,6 +125,18 @@ def _change(table: Any, mirrored: Any, way: Any, signs: Any, axes: Any) -> None:
                 table[row, column] *= signs[column]
             if axes[column]:
                 table[row, column] += way[row, axes[column] - 1]
+
+
+@compiled
+def _twist(table: Any, angles: Any, rotations: Any) -> None:
+    """Turn the frames whose first two columns begin at `rotations` about their own z by these angles (n,) in rad."""
+    for row in range(len(table)):
+        k, s = np.cos(angles[row]), np.sin(angles[row])
+        for start in rotations:
+            for column in range(start, start + 3):
+                x, y = table[row, column], table[row, column + 3]
+                table[row, column] = k * x + s * y
+                table[row, column + 3] = k * y - s * x
 
 
 def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[int]:

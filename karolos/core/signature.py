@@ -32,6 +32,8 @@ class Field:
     columns of a rotation matrix. wrench: a vector, then an axial one. Several kinds describe the columns in order: 3
     columns each, 6 for rotation and wrench, 1 for scalar. None: unknown.
     """
+    joints: int = 0
+    """How many joints it describes, one after the other, each in equally many columns; 0: it describes none."""
 
 
 @dataclass(frozen=True)

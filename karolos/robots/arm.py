@@ -91,10 +91,13 @@ class Arm:
     with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
     tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
     with a gripper that actions move gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it
-    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s).
+    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s). With
+    `joint_slots` (s) instead, for each of s joints, 0 where there is none: joint_effects (6 s, how far an action of 1
+    moves the tool in m and turns it in rad), joint_rooms (2 s, to the lower and the upper limit, at most MOST_ROOM),
+    joint_speeds (s) and joint_accelerations (s, at most 1), all three in joint steps and control steps.
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
-    joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
+    joint control instead joint_changes (n or s, in joint steps); with a gripper gripper_opening (1, -1 closed
     to 1 open; a cup sucks below 0). With `timed_release` a gripper that holds something and is told to open lets go
     within the control step. The less the action exceeds the current opening, the later it lets go.
     """
@@ -114,7 +117,7 @@ class Arm:
             )
         )
         published = model.accelerations if settings.acceleration == "sheet" else None
-        self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
+        self.accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
         self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
         offset: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
@@ -163,7 +166,11 @@ class Arm:
         if limits == "task":
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
-        self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
+        steps = [min(self.settings.joint_step, speed * period) for speed in self.limits.velocity]
+        if self.settings.joint_slots is not None:  # what actions do shall not depend on the size of an arm
+            levers = np.linalg.norm(self.chain.jacobian(self.chain.forward(self.model.home))[:3], axis=0)
+            steps = np.minimum(steps, self.settings.tool_step / np.maximum(levers, 1e-6)).tolist()
+        self.joint_step = tuple(steps)
         self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
         self.engine_needs: dict[str, Ability] = {}
@@ -217,7 +224,7 @@ class Arm:
         """Facts that a controller needs to run a policy: JSON-able, SI units, in the world's frame."""
         settings, limits, scales = self.settings, self.limits, self._control.scales
         names = [limits.name(joint) for joint in range(self.chain.size)]
-        columns = (names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
+        columns = (names, limits.lower, limits.upper, limits.velocity, self.accelerations, limits.effort)
         keys = ("name", "lower", "upper", "velocity", "acceleration", "effort", "home")
         rows = zip(*columns, self.home_joints, strict=True)
         joints = [dict(zip(keys, row, strict=True)) for row in rows]
@@ -253,7 +260,7 @@ class Arm:
             "path_length": self._path,
             "peak_force": max(forces.values(), default=0.0),
             "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
-            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
+            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self.accelerations)),
             "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
             "peak_wrist_force": loads.wrench,
             "peak_pad_force": max(pads, default=0.0),
@@ -272,7 +279,7 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
+        self.ramps = Ramps(self.limits, world.period, self.accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         fingers, cup = (self.model.fingers, self.model.cup) if self._grip is not None else (None, None)
@@ -534,7 +541,7 @@ class Arm:
         target = self._target(position, orientation)
         way = self.chain.step(self.configuration, target, self.posture(self.joint_positions))
         # so fast that .8 of a joint's acceleration stops it at the end of its way
-        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
+        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self.accelerations, strict=True))
         # and less if actions act late: the policy would repeat a step of the whole way until it sees the effect
         slower = max(1.0 + len(self._delayed), max(needed) / self.period)
         return self._action(self._control.towards(Way(target, way, slower)), opening)
@@ -546,7 +553,8 @@ class Arm:
                 setting="robot.control",
                 hint="set robot.control: joint",
             )
-        return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
+        shares = [change / step for change, step in zip(changes, self.joint_step, strict=True)]
+        return self._action([*shares, *[0.0] * (self._control.action[0].size - len(shares))], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
         if self._commanded:

@@ -7,7 +7,10 @@ from math import atan2, cos, hypot, sin
 from operator import truediv
 from typing import ClassVar, NamedTuple, Protocol
 
-from ..core import Field
+import numpy as np
+
+from ..core import Field, Kind
+from ..errors import UsageError
 from ..simulation.geometry import (
     Orientations,
     Quaternion,
@@ -29,6 +32,8 @@ ROTATION = Field("tool_rotation", 6, kind="rotation")
 VELOCITY = Field("tool_velocity", 3, "m/s", kind="vector")
 SPIN = Field("tool_angular_velocity", 3, "rad/s", kind="axial")
 CHANGE = Field("tool_position_change", 3, kind="vector")
+MOST_ROOM = 10.0
+"""Joint steps; a joint that is farther from the end of its range is described as if it were so near."""
 
 
 class ControlledArm(Protocol):
@@ -44,6 +49,7 @@ class ControlledArm(Protocol):
     period: float
     tool_step: float
     joint_step: tuple[float, ...]
+    accelerations: tuple[float, ...]
     motors: Motors
     ramps: Ramps
     configuration: Configuration
@@ -94,7 +100,7 @@ class Control:
         """Largest change by an action of 1 in a control step: field of `action` -> unit, and change of each column."""
         arm = self.arm
         return {
-            "joint_changes": ("rad", list(arm.joint_step)),
+            **({} if arm.settings.joint_slots else {"joint_changes": ("rad", list(arm.joint_step))}),
             "tool_position_change": ("m", [arm.tool_step] * 3),
             "yaw_change": ("rad", [arm.settings.yaw_step]),
             "tool_turn": ("rad", [arm.settings.turn_step] * 3),
@@ -145,26 +151,63 @@ class Control:
 
 
 class JointControl(Control):
-    """An action changes each joint position, in units of the joint step."""
+    """An action changes each joint position, in units of the joint step.
+
+    With `joint_slots` (s) observations and actions fit arms with any number of joints up to s. Each joint is described
+    by what it does now, not by its angle, whose zero is arbitrary. Places without a joint are 0. Actions ignore them.
+    """
 
     turns_joints = True
 
     def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
-        size = arm.chain.size
-        self.action = (Field("joint_changes", size),)
-        self.observed_joints = Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")
+        size, slots = arm.chain.size, arm.settings.joint_slots
+        self._spare = (slots or size) - size
+        if self._spare < 0:
+            what, hint = f"this arm has {size} joints", f"set it to {size} or more, in training too"
+            raise UsageError(what, setting="robot.joint_slots", hint=hint)
+        if slots is None:
+            self.action = (Field("joint_changes", size),)
+            self.observed_joints = Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")
+            return
+
+        def described(name: str, unit: str, kind: Kind = "scalar", each: int = 1) -> Field:
+            size = slots * each * (6 if kind == "wrench" else 1)
+            return Field(name, size, unit, kind=(kind,) * slots * each, joints=slots)
+
+        self.action = (described("joint_changes", "1"),)
+        self.observed_joints = (
+            described("joint_effects", "m, rad", "wrench"),
+            described("joint_rooms", "joint steps", each=2),
+            described("joint_speeds", "joint steps"),
+            described("joint_accelerations", "joint steps"),
+        )
 
     def changes(self, values: Sequence[float]) -> list[float]:
         return [step * value for step, value in zip(self.arm.joint_step, values, strict=False)]
 
     def observe_joints(self) -> Sequence[float]:
-        return [*self.arm.joint_positions, *self.arm.joint_velocities]
+        arm = self.arm
+        if arm.settings.joint_slots is None:
+            return [*arm.joint_positions, *arm.joint_velocities]
+        step = np.array(arm.joint_step)
+        effects = arm.chain.jacobian(arm.configuration).T * step[:, None]
+        below = (np.array(arm.joint_positions) - arm.limits.lower) / step
+        above = (np.array(arm.limits.upper) - arm.joint_positions) / step
+        rooms = np.clip(np.column_stack((below, above)), 0, MOST_ROOM)
+        speeds = arm.period * np.array(arm.joint_velocities) / step
+        # Above 1 a joint has its full speed within one control step.
+        accelerations = np.minimum(arm.period**2 * np.array(arm.accelerations) / step, 1)
+        values: list[float] = []
+        for part in (effects, rooms, speeds, accelerations):
+            values += part.ravel().tolist()
+            values += [0.0] * (part.size // arm.chain.size * self._spare)
+        return values
 
     def towards(self, way: Way) -> list[float]:
         shares = [ahead / step for ahead, step in zip(way.joints, self.arm.joint_step, strict=True)]
         longest = max(way.slower, *map(abs, shares))
-        return [share / longest for share in shares]
+        return [*(share / longest for share in shares), *[0.0] * self._spare]
 
 
 class CartesianControl(Control):

@@ -9,6 +9,7 @@ from pydantic import Field as Setting
 from pydantic_core import PydanticCustomError
 
 from ..core import Settings
+from ..core.settings import LATER
 from ..errors import UsageError
 from ..randomization.randomization import Drawn
 from ..registry import find
@@ -61,6 +62,15 @@ class ArmSettings(Settings):
         gt=0,
         description="largest speed of the tool centre point, m/s; null: as the data sheet says (panda 1.7, ur5 1.5); "
         "without such a value (iiwa) what the joints allow",
+    )
+    joint_slots: int | None = Setting(
+        None,
+        ge=1,
+        le=16,
+        json_schema_extra=LATER,
+        description="joint control, for one policy of many arms: observations and actions have places for so many "
+        "joints, 0 where the arm has fewer; it is observed how each joint moves the tool, and at home none moves it by "
+        "more than tool_step in a control step; null: the arm's own joints",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
     yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")

@@ -72,7 +72,8 @@ def learner(spec: Spec) -> dict[str, str]:
     precision = getattr(spec.agent.settings, "precision", None)
     if precision is None:
         return {"device": device}
-    return {"device": device, "precision": "bfloat16" if uses_bfloat16(precision, device) else "float32"}
+    rounds = uses_bfloat16(precision, device) and not getattr(spec.agent.settings, "per_joint", False)
+    return {"device": device, "precision": "bfloat16" if rounds else "float32"}
 
 
 def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
