@@ -1,4 +1,4 @@
-"""Options that commands share, and the runs that a typed text means."""
+"""Options that several commands have, and the runs that an argument means."""
 
 from __future__ import annotations
 
@@ -115,7 +115,7 @@ TimeLimit = Annotated[
 
 
 def with_launcher(overrides: Sequence[str] | None, on: str | None) -> list[str]:
-    """The overrides of a spec with those that --on means."""
+    """The overrides of a spec, with those of --on."""
     if on is None:
         return list(overrides or ())
     name, address, _ = on.partition("://")
@@ -158,7 +158,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
 
 
 def chosen_checkpoint(folder: RunFolder, asked: Literal["best", "last"] | None) -> Literal["best", "last"]:
-    """The checkpoint to use: the one asked for, or `best`; with a message `last` where there is only that one."""
+    """The checkpoint to use: the requested one, or `best`; or, with a message, `last` if it is the only one."""
     from karolos.records.checkpoint import names
     from karolos.records.shipped import is_shipped
 
@@ -196,13 +196,13 @@ def select_runs(
 
 
 def check_file(path: Path) -> None:
-    """Raise UsageError for a file to write whose folder is missing, before the work that it is to hold."""
+    """Raise UsageError if the folder of an output file is missing, before any work is done."""
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent}", where=str(path), hint="make it, or name another file")
 
 
 LONGEST = 3650 * 86400.0
-"""Seconds; clocks cannot count much longer durations from now on."""
+"""Longest duration in s. Clocks cannot represent much longer ones."""
 
 
 def seconds(text: str | None, option: str = "--time-limit") -> float | None:

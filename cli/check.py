@@ -1,4 +1,4 @@
-"""`karolos check`: whether specs are valid, without running them."""
+"""`karolos check`: checks specs without running them."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def check(
 
 
 def _check_parts(spec: Spec, runs: Path) -> str | None:
-    """Raise an error for what cannot work; returns a note on what may surprise."""
+    """Raise an error if the spec cannot work; returns a note on possible surprises."""
     from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
 
     note = check_parts(spec)
@@ -87,7 +87,7 @@ def _check_parts(spec: Spec, runs: Path) -> str | None:
 
 
 def _is_override(argument: str) -> bool:
-    """Whether an argument sets something instead of naming a file."""
+    """Whether an argument is a setting and not a file."""
     return "=" in argument and not os.path.exists(argument)  # Path.exists raises for a long text
 
 

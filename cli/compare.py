@@ -1,4 +1,4 @@
-"""`karolos compare` and `karolos diff`: experiments side by side, and what two runs were made from."""
+"""`karolos compare` and `karolos diff`: compare experiments, and the sources of two runs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def compare(
 
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
-    """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
+    """The runs that a selector means and their index; None for a shipped run, or a run that is not indexed."""
     from karolos.records import RunFolder
     from karolos.records.shipped import SHIPPED
     from karolos.store.query import existing, is_run_folder, select, shipped_run
@@ -160,7 +160,7 @@ def _labels(
     """The label of each experiment: as chosen, or that of `labels_of`.
 
     Raises:
-        UsageError: there is not one distinct label for each; or two arguments mean the same run.
+        UsageError: labels are missing or not distinct, or two arguments mean the same run.
     """
     from karolos.comparison.contenders import labels_of
 
@@ -224,7 +224,7 @@ def diff(
 
 
 def _side(selector: str, runs: Path, database: str | None) -> Side:
-    """What an argument means. Raises SpecError for a spec file that is missing."""
+    """The side that an argument means. Raises SpecError if a spec file is missing."""
     from karolos.comparison.differences import of_run, of_spec
     from karolos.store.query import is_spec
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from karolos.specification.parts import Recipe
 
 UNFINISHED = ".recording"
-"""Folder in --out that holds the episodes until the dataset is written, so that the same command goes on."""
+"""Folder in --out that holds the episodes until the dataset is written, so that the same command can continue."""
 
 
 def dataset(
@@ -81,11 +81,11 @@ def dataset(
         saved = load_agent(folder, name)
         spec = changed_spec(saved.spec, overrides or (), trained=saved.signature, randomize=randomize)
         act, policy = saved.policy().act, f"{folder.id}, checkpoint {name}"
-        recipe = spec.recipe(randomize=True)  # what it draws is left in the spec
+        recipe = spec.recipe(randomize=True)  # its distributions stay in the spec
         if note := engine_note(saved.spec, spec):
             warn(note)
     if camera and (format != "lerobot" or size % 2):
-        raise UsageError("--camera films for --format lerobot, in pictures of an even size")
+        raise UsageError("--camera needs --format lerobot and an even --size")
     if format != "karolos":
         from karolos.recordings.source import require
 
@@ -129,7 +129,7 @@ def dataset(
 
 
 def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> dict[str, Any]:
-    """What the numbers mean and where they come from. Only the number of episodes may change when it goes on."""
+    """Meaning and origin of the numbers. Only the number of episodes may change when the recording continues."""
     from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
@@ -161,12 +161,12 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
 
 
 def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:
-    """Raise UsageError unless the folder holds the beginning of this very dataset."""
+    """Raise UsageError unless the folder holds the beginning of the same dataset."""
     from json import dumps, loads
 
     before = recording.about()
     if before is None:
-        raise UsageError("there is something already", where=str(out), hint="name another folder with --out")
+        raise UsageError("the folder is not empty", where=str(out), hint="name another folder with --out")
     before.pop("outcome", None)
     now = loads(dumps(about))
     changed = sorted(key for key in {*before, *now} - {"episodes"} if before.get(key) != now.get(key))

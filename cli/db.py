@@ -1,4 +1,4 @@
-"""`karolos db`: the results database, and whether it agrees with the run folders."""
+"""`karolos db`: rebuilds, checks and upgrades the results database."""
 
 from __future__ import annotations
 

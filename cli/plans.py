@@ -1,4 +1,4 @@
-"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are made and reported together."""
+"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are executed and reported together."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord, Trial
 
 SAMPLES = 5
-"""Most sampled specs that --dry-run prints."""
+"""Largest number of sampled specs that --dry-run prints."""
 
 
 def _run(plan: Plan, shown: AbstractContextManager[Any], runs: Path, time_limit: str | None, **how: Any) -> Outcome:
-    """Run what is missing of a plan. After a stop a line says how to continue, and a suite or a matrix ends here."""
+    """Run the missing runs of a plan. After a stop a line says how to continue, and a suite or a matrix ends here."""
     longest = seconds(time_limit)
     with shown as listener:
         outcome = plan.run(runs, listener=listener, time_limit=longest, **how)
@@ -104,8 +104,8 @@ def report_sweep(sweep: SweepRecord, front: Sequence[Trial], *, quiet: bool, jso
 def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
     """A trial as a row: state, objectives, settings, error, runs.
 
-    After the final choice there are two more columns per objective: on the fresh seeds that the choice was made on, and
-    on the unused seeds that only the chosen trial was run on.
+    After the final choice there are two more columns per objective: on the new seeds of the choice, and on the
+    reporting seeds, on which only the chosen trial was run.
     """
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
     final = sweep.final
@@ -116,7 +116,7 @@ def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
             row[f"{name}_fresh"] = fresh[place] if fresh else None
             unused = final.reported if trial.number == final.chosen else None
             row[f"{name}_unused"] = unused[place] if unused else None
-    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None for a setting that the trial did not draw
+    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None: not sampled by the trial
     return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
 
 
@@ -135,7 +135,7 @@ def print_trials(sweep: SweepRecord) -> None:
 
 
 def report_best(sweep: SweepRecord) -> None:
-    """Print the best trial on stderr: its settings, how good it is on which seeds, and how to run it."""
+    """Print the best trial on stderr: its settings, its results by seeds, and the command to run it."""
     best, final, path = sweep.best, sweep.final, Path(sweep.folder) / "best.yaml"
     if best is None:
         say("no trial is complete yet")
@@ -299,9 +299,10 @@ def transfer(
     for warning in report.warnings:
         warn(warning)
     tables = [*(reports.matrix_table(report, name) for name in report.metrics), reports.variants_table(report)]
+    tables[:0] = reports.over_targets(report)
     print_report(report.rows(), tables, reports.notes(report), quiet=quiet, json=json)
     maps, curves = reports.transfer_figures(report)
-    path = matrix.write_page(reports.matrix_page(report, maps, curves))
+    path = matrix.write_page(reports.matrix_page(report, maps, curves, reports.pictures(matrix, report)))
     if out is not None:
         write_figures([*maps, *curves], out)
     if not quiet:

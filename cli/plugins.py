@@ -1,4 +1,4 @@
-"""`karolos plugins`: what is installed, its settings, and a package to start a plugin from."""
+"""`karolos plugins`: installed plugins, their settings, and starter packages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`karolos play`, `karolos test` and `karolos export`: what is done with a saved policy."""
+"""`karolos play`, `karolos test` and `karolos export`: use a saved policy."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def play(
 
 
 def _modules(folder: RunFolder) -> list[str]:
-    """The modules that the run's spec makes karolos import: of plugins that are not karolos's, and of gymnasium ids."""
+    """The foreign modules that the run's spec makes karolos import: of plugins and of gymnasium ids."""
     from karolos.records.run_records import part_name
     from karolos.registry import entries
     from karolos.specification.tree import PARTS
@@ -172,9 +172,10 @@ def zero_shot(
 ) -> None:
     """Test a run's saved policy under changed settings: another robot, other physics, randomization.
 
-    Also prints the success of the same policy in the same episodes without the changes. By default the episodes are
-    those of the run's final test, which are held out. The result is written to transfers.jsonl in the run's folder,
-    and `karolos runs show` shows it. With --expert the scripted expert of a spec's task is tested.
+    The same policy's success on the same episodes without the changes is printed beside it. By default these are the
+    episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
+    (transfers.jsonl; of a policy that ships: shipped/NAME in the runs folder), and `karolos runs show` shows it. With
+    --expert the scripted policy of a spec's task is tested.
     """
     if expert:
         if randomize or checkpoint:
@@ -183,7 +184,8 @@ def zero_shot(
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
         return
     folder = open_run(run, runs, database)
-    from karolos.evaluation.zero_shot import zero_shot_test
+    from karolos.evaluation.zero_shot import keep, zero_shot_test
+    from karolos.records.shipped import is_shipped
     from karolos.report.tables import measures_table, transfers_table
 
     done = zero_shot_test(
@@ -195,6 +197,8 @@ def zero_shot(
         randomize=randomize,
         on_warning=warn,
     )
+    if is_shipped(folder):
+        keep(folder, done, runs)
     if json:
         print_rows([{"run": folder.id, **done.changed_row()}], json=True)
         return
@@ -206,7 +210,7 @@ def zero_shot(
 
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
-    """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
+    """Print the success of the expert of a spec's task in the episodes of its final test, or in the requested ones."""
     from karolos.evaluation.playing import FirstSuccesses, evaluate_alone
     from karolos.evaluation.policies import expert_policy
     from karolos.report.tables import heading

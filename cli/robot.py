@@ -1,16 +1,17 @@
-"""`karolos robot`: an arm from a file, and how good policies are on it that never saw it."""
+"""`karolos robot`: checks an arm's file, and scores the arm with policies that never saw it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import KarolosError, NoSuchRunError, PluginError, UsageError
 
-from .arguments import Json
+from .arguments import Database, Json, Runs, open_run
 from .completion import complete_plugin
 from .inspect import save_picture
 from .output import print_line, print_rows, print_table, say
@@ -83,13 +84,12 @@ def check(
 @app.command()
 def score(
     robots: Annotated[
-        list[str],
-        typer.Argument(metavar="FILE|NAME...", help="URDFs (paths, or installed:PACKAGE/PATH), or names of robots."),
-    ],
+        list[str] | None,
+        typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
+    ] = None,
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
-        str,
-        typer.Option(metavar="ROBOT", help="Policies to play: those of ur5, panda or iiwa, or one such as ur5_pick."),
+        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or a run: ur5_pick, @last.")
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
@@ -98,25 +98,43 @@ def score(
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder for page and films. Default: ./NAME-score.")
     ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Show the scores so far, of all robots or of these.")] = False,
+    runs: Runs = Path("runs"),
+    database: Database = None,
     json: Json = False,
 ) -> None:
     """Play the shipped policies on a robot that they never saw: success, and the causes of failures.
 
-    Nothing is trained. Writes a page with a film of each task, and score.json with the same numbers. A URDF that
-    cannot be used as it is gets repaired in a copy. Several robots get a folder each, and one table.
+    Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
+    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all. Results
+    are kept as those of `karolos test`.
     """
     from karolos.files import write_json, writing
     from karolos.plugins.robot_score import (
         arms_table,
+        kept_scores,
+        kept_table,
         policies_of,
         refused,
         score_robot,
         scores_table,
         write_score_page,
     )
-    from karolos.records.shipped import shipped_names
+    from karolos.registry import names
 
-    chosen = [policies] if policies in shipped_names() else policies_of(policies)
+    robots = robots or []
+    if listed:
+        wanted = {Path(one).stem for one in robots}
+        rows = [row for row in kept_scores(runs) if row["robot"] in wanted or not wanted]
+        print_rows(rows, json=True) if json else print_table(kept_table(rows))
+        return
+    if not robots:
+        raise UsageError("no robot is given", hint="name a URDF or a robot; --list shows the scores so far")
+    try:
+        chosen = [] if policies in names("robots") else [open_run(policies, runs, database).path]
+    except NoSuchRunError:
+        chosen = []
+    chosen = chosen or policies_of(policies)
     every = []
     for robot in robots:
         name = Path(robot).stem
@@ -126,8 +144,8 @@ def score(
         overrides: list[str] = []
         notes: list[str] = []
         try:
-            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, folder, mass)
-            found = score_robot(chosen, overrides, episodes, folder)
+            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass)
+            found = score_robot(chosen, overrides, episodes, folder, runs)
         except KarolosError as error:
             if len(robots) == 1:
                 raise
@@ -149,26 +167,21 @@ def score(
         print_table(arms_table(every))
 
 
-def _overrides(robot: str, gripper: str | None, folder: Path, mass: float | None) -> tuple[list[str], list[str], str]:
+def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, what is assumed of its file, and what it is called."""
     from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of
-    from karolos.robots.repair import Repair
 
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
     path = Path((installed_file(robot) if robot.startswith(INSTALLED) else None) or robot)
-    path, name, notes = path.absolute() if not str(path).startswith(INSTALLED) else path, path.stem, list[str]()
+    settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
     try:
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
     except PluginError:
-        repair = Repair(path, mass)
-        if repair.robot is None or not repair.findings:
-            raise
-        path = folder.absolute() / f"{name}.urdf"
-        repair.write(path)
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
-        notes = [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
-    return ["robot.name=urdf", f"robot.file={path}", *gripping], [*notes, *found.notes], name
+        settings |= {"repair": True} | ({"mass": mass} if mass is not None else {})
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
+    given = [f"robot.{key}={dumps(value)}" for key, value in settings.items()]
+    return ["robot.name=urdf", *given, *gripping], [*found.notes], path.stem

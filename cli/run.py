@@ -82,7 +82,7 @@ def run(
 
 
 def _detach(log: Path) -> NoReturn:
-    """Start this command again, without a terminal and with its output in the log, and end this process.
+    """Start this command in the background, with its output in the log, and end this process.
 
     Raises:
         MachineError: the log cannot be written.

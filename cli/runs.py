@@ -1,4 +1,4 @@
-"""`karolos runs`: what was run, and with which results."""
+"""`karolos runs`: recorded runs and their results."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(name="runs", help="List, show, label, stop, remove, export and import runs.", no_args_is_help=True)
 STOP_SECONDS = 0.2
-"""Time between two looks whether a run has stopped."""
+"""Time between two checks whether a run has stopped."""
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
 LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
@@ -111,7 +111,7 @@ def list_runs(
         print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
         return
     if group and columns is not None:
-        raise UsageError("--group has columns of its own", hint="leave out --columns")
+        raise UsageError("--group cannot be combined with --columns", hint="leave out --columns")
     store = open_store(runs, database)
     if store is None:
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")
@@ -158,9 +158,9 @@ def _rows(
 
 
 def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
-    """One row per experiment: its runs and states; of one finished run per seed, the means over those with a result.
+    """One row per experiment: its runs and states, and means over one finished run with a result per seed.
 
-    `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
+    `steps_to_95` is the median over runs with a success. A run that never reached it counts as infinite.
     """
     from karolos.comparison.contenders import averaged, name_of, repeated
     from karolos.statistics.reaching import median_reaching
@@ -188,7 +188,7 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
 
 
 def _watch(runs: Path) -> None:
-    """Print a table of the runs that wait or run, with their machine and progress, until there are none."""
+    """Print a table of waiting and running runs, with machine and progress, until there are none."""
     from rich.console import Console
 
     from karolos.files import read_object
@@ -223,6 +223,7 @@ def show(
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.core.environment import STAGE
     from karolos.records import RunFolder
+    from karolos.records.shipped import results_of
     from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
@@ -235,7 +236,7 @@ def show(
         if os.path.isdir(summary.folder):
             folder = RunFolder.open(summary.folder)
             record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
-            transfers, unreadable = folder.transfers()
+            transfers, unreadable = results_of(folder, runs).transfers()
             stages = folder.stages(STAGE)
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
@@ -307,7 +308,7 @@ def note(
 def _relabel(
     selector: str, change: Callable[[Path], bool], runs: Path, database: str | None, *, same: str, json: bool
 ) -> None:
-    """Write into the run folders, and let the index read them again. `same` says why no run changed."""
+    """Write into the run folders, and update the index. `same` says why no run changed."""
     from karolos.records import RunFolder
 
     store, found = select_runs([selector], None, runs, database)
@@ -351,7 +352,7 @@ def remove(
                 path = trash.throw_away(RunFolder.open(summary.folder))
                 store.remove_runs([summary.run])
                 moved.append({"run": summary.run, "folder": str(path)})
-        finally:  # also what was moved before one that cannot be
+        finally:  # also the runs moved before the one that failed
             print_rows(moved, json=json, line="{run} -> {folder}")
     say("`karolos runs restore RUN` brings them back, `karolos runs rm --purge` empties the trash")
 
@@ -493,7 +494,7 @@ def _test_row(test: Evaluation, *, near: bool = False) -> dict[str, Any]:
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
-    """The metadata of the checkpoints that can be read, and what is wrong with the others."""
+    """The metadata of readable checkpoints, and the errors of the others."""
     from karolos.records import checkpoint
 
     found, problems = [], []

@@ -1,4 +1,4 @@
-"""`karolos spec`: the specs that ship, what a spec resolves to, and the schema of specs."""
+"""`karolos spec`: lists and copies shipped specs, resolves a spec, prints the schema of specs."""
 
 from __future__ import annotations
 

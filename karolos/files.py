@@ -66,7 +66,7 @@ def writing(path: Path) -> Iterator[None]:
 
 def _explained(error: OSError, path: Path) -> MachineError:
     if error.errno in _FULL:
-        return MachineError("the disk is full", where=str(path), hint="free some space; what was there before is whole")
+        return MachineError("the disk is full", where=str(path), hint="free some space; the old content is intact")
     if error.errno in _FORBIDDEN:
         return MachineError("cannot be written", where=str(path), hint="change its permissions or name another folder")
     if isinstance(error, NotADirectoryError | FileExistsError):
@@ -78,7 +78,7 @@ def below(root: Path, name: str) -> Path:
     """`root / name`. Raises UsageError if it is not below `root` after links are followed."""
     path = root / name
     if root.resolve() not in path.resolve().parents:
-        raise UsageError(f"{name!r} leads out of {root}", hint="give a plain name")
+        raise UsageError(f"{name!r} leads outside of {root}", hint="give a plain name")
     return path
 
 

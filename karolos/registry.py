@@ -248,7 +248,7 @@ def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> Non
     if not (isinstance(settings, type) and issubclass(settings, BaseModel)):
         raise broken("has no settings", hint="nest a pydantic model called Settings in the class")
     if "name" in settings.model_fields:
-        raise broken("has a setting called 'name'", hint="a spec's `name` says which plugin; rename")
+        raise broken("has a setting called 'name'", hint="rename it: in a spec `name` is the name of the plugin")
     abstract: frozenset[str] = getattr(plugin, "__abstractmethods__", frozenset())
     lacking = sorted({*abstract, *(name for name in NEEDED_ATTRIBUTES[kind] if not hasattr(plugin, name))})
     if lacking:

@@ -4,6 +4,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from functools import cache
+from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from support.fake_plugins import FAKES
 from karolos import registry
 from karolos.core import Array
 from karolos.records import provenance
+from karolos.robots import poses
 from karolos.tasks.throw_planner import ThrowPlanner
 
 Install = Callable[..., None]
@@ -54,6 +56,22 @@ def throws_are_searched_once() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def workers_import_once() -> Iterator[None]:
+    """Worker processes fork from a server that has imported MuJoCo and read its kernels: each would do it again."""
+    start, preload = forkserver.ForkServer.ensure_running, forkserver.set_forkserver_preload
+
+    def with_path(server: forkserver.ForkServer) -> None:
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
+            start(server)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(forkserver.ForkServer, "ensure_running", with_path)
+        patch.setattr(forkserver, "set_forkserver_preload", lambda modules: preload([*modules, "support.preloaded"]))
+        yield
+
+
 @pytest.fixture(autouse=True)
 def environments_are_closed() -> Iterator[None]:
     """Close what a test has `opened`."""
@@ -62,9 +80,16 @@ def environments_are_closed() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session")
-def proposals(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder of caches, in which what is assumed of an arm's file is found by later tests: it takes two seconds."""
+def caches(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return tmp_path_factory.mktemp("caches")
+
+
+@pytest.fixture
+def quick_proposals(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is assumed of an arm's file is found by later tests, and the first home with some room is taken."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
+    monkeypatch.setattr(poses, "CONFIGURATIONS", 1)
+    monkeypatch.setattr(poses, "ENOUGH", 0.2)
 
 
 @pytest.fixture

@@ -77,7 +77,7 @@ class ActorCriticSettings(OptimiserSettings):
     @model_validator(mode="after")
     def _cloning_imitates(self) -> Any:
         if self.cloning and not self.imitation:
-            raise ValueError("cloning needs imitation above 0, the weight of what it learns")
+            raise ValueError("cloning needs imitation above 0: this is the weight of the demonstrated actions")
         return self
 
     @model_validator(mode="after")
@@ -359,7 +359,7 @@ class Quantiles(BaseSettings):
     @model_validator(mode="after")
     def _some_stay(self) -> Quantiles:
         if self.drop >= self.quantiles:
-            raise ValueError(f"drop {self.drop} leaves nothing of {self.quantiles} quantiles")
+            raise ValueError(f"drop {self.drop} leaves none of {self.quantiles} quantiles: give a smaller one")
         return self
 
 

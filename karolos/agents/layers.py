@@ -95,7 +95,7 @@ def forward(x: Tensor, layers: list[Affine], *, layer_norm: bool) -> tuple[Tenso
 def backward(
     gradient: Tensor, tape: Tape, layers: list[Affine], *, out: list[Affine] | None, columns: slice | None
 ) -> Tensor | None:
-    """From the gradient by the outputs to the gradients by the parameters and by the inputs.
+    """Compute the gradients by the parameters and by the inputs from the gradient by the outputs.
 
     Args:
         gradient: by the outputs, (n, out).

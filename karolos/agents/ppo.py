@@ -279,7 +279,7 @@ class Gaussian:
         self.log_std = torch.full((columns,), math.log(std), device=device)
         """The learned parameters, (a,). Change them in place."""
         self.gradient = torch.zeros_like(self.log_std)
-        """By `log_std`; result of the latest `backward`."""
+        """Gradient by `log_std`; result of the latest `backward`."""
 
     def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
         """Exploring actions (n, a) from the network's output (n, columns)."""
@@ -297,7 +297,7 @@ class Gaussian:
         return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant
 
     def entropy(self, output: Tensor) -> Tensor:
-        """In nats: (n,)."""
+        """Entropy in nats: (n,)."""
         entropy = self.log_std.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
         return entropy.expand(len(output))
 

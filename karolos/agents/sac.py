@@ -46,7 +46,9 @@ class SAC(ActorCritic):
         @model_validator(mode="after")
         def _bounds_hold(self) -> SAC.Settings:
             if self.entropy_in_target and self.clip_targets:
-                raise ValueError("values that count entropy have no bounds from rewards: set clip_targets: false too")
+                raise ValueError(
+                    "values with entropy_in_target are not bounded by rewards: also set clip_targets: false"
+                )
             if self.temperature < self.temperature_min:
                 raise ValueError(f"temperature {self.temperature} is below temperature_min {self.temperature_min}")
             return self

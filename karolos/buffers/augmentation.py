@@ -145,7 +145,7 @@ def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[in
     for field in layout.fields:
         if field.kind is None:
             raise UsageError(
-                f"what becomes of {field.name} in a mirror or elsewhere is not known",
+                f"it is unknown how {field.name} changes if the scene is mirrored or moved",
                 setting="buffer.augmentation",
                 hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
             )

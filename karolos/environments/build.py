@@ -122,7 +122,7 @@ class VariedRobotTask(Environment):
             if differences:
                 index = next(index for index, value in enumerate(values) if value != self._drawn[index])
                 raise UsageError(
-                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                    "a sampled setting must not change observations, actions, goals and rewards: "
                     + "; ".join(differences),
                     setting=f"randomization.{names[index]}",
                     hint=f"give it one value: {names[index]}={self._drawn[index]:g}",
@@ -181,7 +181,7 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
         drawn = distributions[name]
         if not isinstance(drawn.settings, Choice.Settings):
             raise UsageError(
-                f"{name} is fixed in a built world, so it cannot be drawn by {drawn.name!r}",
+                f"{name} is fixed in a built world, so it cannot be sampled by {drawn.name!r}",
                 setting=f"randomization.{name}",
                 hint="list values: {name: choice, values: [...]}; each has a world of its own",
             )

@@ -62,7 +62,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
             hint = f"a test can change {', '.join(CHANGEABLE)}"
             if root == "testing":
                 hint = "use --episodes; `karolos test` has --seed, too"
-            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
+            raise UsageError(f"{override!r} changes the training, not the test", where="override", hint=hint)
     saved = playable(saved)
     parameters = _parameters(saved, overrides)
     own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
@@ -77,7 +77,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         raise UsageError(
             "randomization is off in a test",
             setting=RANDOMIZATION,
-            hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
+            hint="set one parameter, e.g. task.gravity=-5; `karolos test --randomize` samples as in training",
         )
     if not randomize:
         spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})

@@ -41,7 +41,7 @@ class Policy:
 
 @dataclass(frozen=True)
 class Learned:
-    """What the agent of a run has learned."""
+    """The learned policy of a run."""
 
     run: str
     checkpoint: str

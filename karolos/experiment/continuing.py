@@ -28,20 +28,20 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
     for override in overrides:
         if override.partition("=")[0].strip() not in CHANGEABLE:
             hint = f"these can change: {', '.join(CHANGEABLE)}; agent.start_from={source.id} begins a new run"
-            raise UsageError("a run goes on with the settings that it began with", where=override, hint=hint)
+            raise UsageError("this setting cannot change when a run is continued", where=override, hint=hint)
     state = source.state()
     if state.state != "finished":
         hint = f"first `karolos resume {source.id}`, without settings"
-        raise UsageError(f"only a finished run goes on with other settings; this one is {state.state}", hint=hint)
+        raise UsageError(f"only a finished run can be continued; this one is {state.state}", hint=hint)
     if LAST not in checkpoint.names(source.checkpoints):
         hint = f"agent.start_from={source.id} begins a new run from its policy"
-        raise UsageError(f"{source.id} has no checkpoint {LAST!r} to go on from", hint=hint)
+        raise UsageError(f"{source.id} has no checkpoint {LAST!r} to continue from", hint=hint)
     steps = checkpoint.read_meta(source.checkpoints, LAST)["steps"]
     origin = {"experiment": source.description()["experiment"], "at": steps}
     spec = spec_from_dict(source.spec() | {"continued_from": origin}, overrides)
     if spec.training.steps <= steps:
         what = f"the run has taken {steps:,} steps, and training.steps is {spec.training.steps:,}"
-        raise UsageError(what, setting="training.steps", hint=f"name more, e.g. training.steps={2 * steps}")
+        raise UsageError(what, setting="training.steps", hint=f"give a larger number, e.g. training.steps={2 * steps}")
     return spec
 
 

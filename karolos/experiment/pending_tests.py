@@ -63,7 +63,7 @@ class PendingTests:
         self._spec, self._training, self.pending = spec, training, pending
         self._writer, self._stop = writer, stop
         self.activity = "testing"
-        """For announcements."""
+        """Word for announcements."""
         self._any_finished = False
         """Whether this process has seen a result."""
         self._results: dict[DueEvaluation, Evaluation] = {}

@@ -53,7 +53,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     except RunError as error:
         like = closest(run, shipped_names())
         ships = f"did you mean {like!r}, which ships? " if like else ""
-        raise _refused(f"{run!r}: {error.what}", f"{ships}name a run by its whole id or its folder") from error
+        raise _refused(f"{run!r}: {error.what}", f"{ships}give a run's full id or its folder") from error
     source = spec_of(folder)
     check_agents(spec, source)
     if differences := layout_differences(signature_of(spec), signature_of(playable(source)), learning=True):

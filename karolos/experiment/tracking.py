@@ -92,7 +92,7 @@ def open_tracker(name: str, folder: RunFolder) -> Tracker:
         MachineError: its package is missing.
     """
     if name not in TRACKERS:
-        raise UsageError(f"there is no tracker {name!r}", hint=f"there are {', '.join(TRACKERS)}")
+        raise UsageError(f"there is no tracker {name!r}", hint=f"choose {', '.join(TRACKERS)}")
     try:
         kind: type[Tracker] = getattr(import_module(f".{name}_tracker", __package__), f"{name.title()}Tracker")
         tracker = kind(Tracked.of(folder))

@@ -101,7 +101,9 @@ def _make_room(out: Path) -> None:
     found = {path.name for path in out.iterdir()} if out.is_dir() else set()
     ours = FILES | {"policy.yaml", "episode.npz", "film.mp4", "spec.json", "run.json", "README.md", "SHA256SUMS"}
     if strange := sorted(found - ours):
-        raise UsageError(f"{out} holds {strange[0]}, which is no part of a bundle", hint="name an empty folder: --out")
+        raise UsageError(
+            f"{out} holds {strange[0]}, which does not belong to a bundle", hint="name an empty folder: --out"
+        )
     for name in found:
         (out / name).unlink()
 

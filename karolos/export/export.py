@@ -88,7 +88,9 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     if not error <= LARGEST_ERROR:
         for path in paths.values():
             path.unlink()  # they must not be used
-        raise RunError(f"what was written does not act as the agent does: it differs by {error:.2g}", where=folder.id)
+        raise RunError(
+            f"the written policy does not act like the agent: actions differ by {error:.2g}", where=folder.id
+        )
     return Exported(out, tuple(paths.values()), saved.checkpoint, saved.steps, error)
 
 

@@ -25,7 +25,7 @@ from .local import LocalLauncher
 def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
     """The spec's launcher, for `jobs` runs at the same time. Raises UsageError if `jobs` is below 1."""
     if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
+        raise UsageError(f"jobs is {jobs}, and must be at least 1", hint="give 1 or more")
     if spec.launcher is None:
         return LocalLauncher(LocalLauncher.Settings(), jobs)
     launcher: Launcher = spec.launcher.make(jobs)

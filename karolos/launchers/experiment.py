@@ -204,7 +204,7 @@ def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
     found = home.find(spec, seed)
     if home.existing != "ignore" and (found is None or found.state().state != "finished"):
         raise RunError(
-            f"another process runs seed {seed}, or has it waiting",
+            f"another process runs seed {seed}, or will run it",
             where=spec.name,
             hint="`karolos runs list --watch` shows its runs; wait for it, or stop it first",
         )

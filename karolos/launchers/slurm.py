@@ -140,7 +140,7 @@ class SlurmLauncher(Launcher):
         number = next((line.partition(";")[0] for line in out.split() if line[:1].isdigit()), None)
         if number is None:
             hint = "`squeue --me` shows whether it has submitted the runs"
-            raise MachineError(f"sbatch gave no number of a job, but {out.strip()[:200]!r}", hint=hint)
+            raise MachineError(f"sbatch did not print the number of a job, but {out.strip()[:200]!r}", hint=hint)
         for task, folder in enumerate(self._new):
             self._active[f"{number}_{task}"] = folder
             write_whole(folder / JOB, f"{number}_{task}\n")

@@ -263,7 +263,7 @@ class WorkerPool(ABC):
             error = PluginError(
                 "environments of one spec have different observations, goals or actions",
                 setting="orchestrator",
-                hint="an environment's signature must depend on its settings alone",
+                hint="an environment's signature must depend only on its settings",
             )
             self._lose(channel.worker, error)
             return

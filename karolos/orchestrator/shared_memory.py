@@ -19,7 +19,7 @@ ALIGNMENT = 64
 
 @dataclass(frozen=True)
 class EnvironmentArrays:
-    """One row per environment: `seed` and `action` are written by the parent, the other arrays by the environments."""
+    """One row per environment. The parent writes `seed` and `action`, the environments write the other arrays."""
 
     seed: NDArray[np.uint64]
     action: FloatArray

@@ -254,7 +254,7 @@ def verdict(report: SuiteReport) -> str:
 
 
 def notes(report: SuiteReport) -> list[str]:
-    """What the numbers mean."""
+    """Explanations of the numbers."""
     lines = ["success and measures are those of the last policy in the final test, or in the last test without one"]
     lines.append("steps and time to .95: median over seeds of the first test with that success; (k of n) reached it")
     scores = [one for entry in report.entries for one in (entry.scores, entry.beside) if one is not None]

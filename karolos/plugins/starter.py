@@ -60,9 +60,9 @@ def write_starter(
     if urdf is not None and kind not in ("robot", "gripper"):
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
     if tool is not None and urdf is None:
-        raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
+        raise UsageError("is only for a URDF", where="--tool", hint="add --urdf FILE")
     if gripper is not None and (kind != "robot" or urdf is None):
-        raise UsageError("it is mounted on an arm", where="--gripper", hint="write a robot with --urdf FILE")
+        raise UsageError("is only for a robot with a URDF", where="--gripper", hint="write a robot with --urdf FILE")
     contents, notes = _rendered(kind, name, urdf, tool, gripper)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):

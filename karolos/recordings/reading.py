@@ -184,7 +184,11 @@ class _Mapping:
         setting = f"demonstrations.columns.{name}"
         parsed = EXPRESSION.fullmatch(expression)
         if parsed is None:
-            raise UsageError(f"{expression!r} names no column", setting=setting, hint="NAME or NAME[0:3], and a unit")
+            raise UsageError(
+                f"{expression!r} is not a column of the recording",
+                setting=setting,
+                hint="write NAME or NAME[0:3], then a unit",
+            )
         column, unit = parsed["name"], parsed["unit"]
         if column not in found:
             refuse(self.source.path, f"{episode} has no column {column!r}", f"it has {_list(found)}")
@@ -216,7 +220,9 @@ class _Mapping:
         if given in (unit, SI) or (given is None and unit == "1"):
             return 1.0
         if given is None:
-            raise UsageError(f"the unit is not said, and here it is {unit}", setting=setting, hint="e.g. NAME[0:3] mm")
+            raise UsageError(
+                f"the unit is missing; the environment uses {unit}", setting=setting, hint="e.g. NAME[0:3] mm"
+            )
         known, factor = UNITS.get(given, (None, 1.0))
         if known != unit:
             raise UsageError(f"{given} cannot be converted to {unit}", setting=setting, hint=f"one of {_list(UNITS)}")

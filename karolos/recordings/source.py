@@ -53,5 +53,5 @@ def rows_of(values: Any) -> NDArray[Any]:
     """Numbers of an episode as (n, k). Raises ValueError or TypeError for anything else."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
-        raise TypeError(f"it holds {array.dtype}, no numbers")
+        raise TypeError(f"it holds {array.dtype}, not numbers")
     return array.reshape(len(array), -1)

@@ -237,7 +237,7 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
         if not _GZIP.startswith(file.peek(2)[:2]):
-            raise _refused(source, "is no archive of runs", "`karolos runs export` makes archives")
+            raise _refused(source, "is not an archive of runs", "`karolos runs export` makes archives")
         try:
             with _Stream(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
                 found, listed = _extract(tar, place, source, most_bytes)
@@ -247,12 +247,12 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise _refused(source, f"the archive cannot be read ({reason})", _AGAIN) from error
     if len(rest) == 2 * tarfile.RECORDSIZE or rest.strip(b"\0"):
-        raise _refused(source, "something follows its last member", _AGAIN)
+        raise _refused(source, "there are data after its last member", _AGAIN)
     if found != listed:
         names = sorted(name for name in {*found, *listed} if found.get(name) != listed.get(name))
         raise _refused(source, f"{names[0]!r} is not what {SUMS} says", _AGAIN)
     if not found:
-        raise _refused(source, "there is no run in it", "`karolos runs export` makes archives")
+        raise _refused(source, "it contains no run", "`karolos runs export` makes archives")
     return list(dict.fromkeys(name.partition("/")[0] for name in found))
 
 

@@ -435,7 +435,7 @@ def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) ->
         return {key: encode(item, f"{path}.{key}", arrays) for key, item in value.items()}
     if type(value) in {list, tuple}:
         return type(value)(encode(item, f"{path}[{index}]", arrays) for index, item in enumerate(value))
-    raise TypeError(f"{path}: a checkpoint holds no {type(value).__name__}")
+    raise TypeError(f"{path}: a checkpoint cannot hold a {type(value).__name__}")
 
 
 def decode(value: Any, arrays: ArrayFiles | None = None) -> Any:
@@ -454,7 +454,7 @@ def _encode_array(value: np.ndarray | np.generic, path: str, arrays: ArrayFiles 
 
     array = np.asarray(value)
     if array.dtype.hasobject or array.dtype.fields:
-        raise TypeError(f"{path}: a checkpoint holds no array of {array.dtype}")
+        raise TypeError(f"{path}: a checkpoint cannot hold an array of {array.dtype}")
     data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
     shape = {"dtype": array.dtype.str, "shape": array.shape}
     if arrays is not None and data.nbytes >= LARGE:

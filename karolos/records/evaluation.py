@@ -103,7 +103,9 @@ class Evaluation:
     wall_seconds: float | None = None
     """Duration of the test."""
     versions: Mapping[str, str] = field(default_factory=dict)
-    """Versions of the software of the test."""
+    """Versions of the software that played."""
+    causes: Mapping[str, int] = field(default_factory=dict)
+    """Failed episodes by cause, of a robot's score."""
     own: Evaluation | None = None
     """Numbers of the same policy on the same episodes under the unchanged spec."""
 
@@ -222,6 +224,7 @@ class Evaluation:
             "randomized": self.randomized,
             "seed": self.seed,
             **self.row(),
+            "causes": dict(self.causes),
             "own": self.own and self.own.row(),
             "wall_seconds": self.wall_seconds,
         }

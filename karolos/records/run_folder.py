@@ -100,7 +100,7 @@ class RunFolder:
                     path.mkdir()  # succeeds in only one process
                     break
             else:
-                raise MachineError(f"{stem} is taken", where=str(runs))
+                raise MachineError(f"the name {stem} is taken", where=str(runs))
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}

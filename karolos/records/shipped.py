@@ -18,6 +18,11 @@ def shipped_names() -> tuple[str, ...]:
     return tuple(sorted(path.parent.name for path in FOLDER.glob(f"*/{POLICY}")))
 
 
+def results_of(folder: RunFolder, runs: Path) -> RunFolder:
+    """Where tests of a run's policies under changed settings are: its folder; of one that ships `runs`/shipped/NAME."""
+    return RunFolder(runs / "shipped" / folder.path.name) if is_shipped(folder) else folder
+
+
 def is_shipped(folder: RunFolder) -> bool:
     """Whether the run is a shipped one. Nothing is written into its folder."""
     return folder.path.resolve().parent == FOLDER

@@ -549,7 +549,7 @@ class Arm:
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
         if not self.turns_joints:
             raise UsageError(
-                "actions do not change joint positions",
+                "the control mode does not move joints directly",
                 setting="robot.control",
                 hint="set robot.control: joint",
             )

@@ -8,10 +8,12 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import Field as Setting
 from pydantic import TypeAdapter, ValidationError
 
+from ..core.settings import LATER
 from ..errors import MachineError, PluginError
 from ..files import INSTALLED, fingerprint, write_whole, writing
 from ..registry import load
@@ -41,7 +43,12 @@ class FromFile(Arm):
             "installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
-            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as in the file"
+            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
+        )
+        repair: bool = Setting(
+            False,
+            json_schema_extra=LATER,
+            description="repair what arithmetic can, as `karolos robot check --repair` does without xacro",
         )
         tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
         flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
@@ -82,24 +89,35 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
         if settings.file.startswith(INSTALLED):
             hint = f"pip install {settings.file.removeprefix(INSTALLED).partition('/')[0]}"
         raise PluginError("there is no such file", where=str(path), hint=hint)
-    plain = path.suffix.lower() not in MJCF and settings.mass is None
+    plain = path.suffix.lower() not in MJCF and settings.mass is None and not settings.repair
     mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""
-    parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or (str(path.parent), settings.mass)]
+    parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or str(path.parent)]
+    parts += [] if plain else [str(settings.mass), str(settings.repair)]
     key = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
-    found = _cached(path, key, settings.gripper, known, settings.mass)
+    made = None if plain else _Made(settings.mass, settings.repair)
+    found = _cached(path, key, settings.gripper, known, made)
     return replace(found, model=replace(found.model, urdf=path)) if plain else found
 
 
+class _Made(NamedTuple):
+    """How a URDF is made of a file."""
+
+    mass: float | None
+    """Of the whole arm in kg."""
+    repair: bool
+    """Whether to repair limits, too, and to leave out what cannot be read."""
+
+
 @lru_cache(maxsize=64)
-def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float | None) -> Proposal:
-    """`propose`, read from the user's cache folder if it was computed before for these contents."""
+def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made | None) -> Proposal:
+    """`propose`, from the user's cache folder if these contents were proposed for before."""
     place = None
     with suppress(RuntimeError, OSError, ValidationError):  # no home, or a damaged file: compute it again
         place = user_cache() / "karolos" / "robots" / f"{key}.json"
         found = _PROPOSAL.validate_json(place.read_bytes())
-        if (path.suffix.lower() not in MJCF and mass is None) or found.model.urdf.is_file():
+        if made is None or found.model.urdf.is_file():
             return found
-    used, notes = _as_urdf(path, mass, place)
+    used, notes = _as_urdf(path, made, place)
     found = propose(used, gripper, known)
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:
@@ -109,20 +127,20 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float
     return found
 
 
-def _as_urdf(path: Path, mass: float | None, beside: Path | None) -> tuple[Path, list[str]]:
-    """The file, or a URDF made from it in the cache folder, with notes on the changes."""
-    if path.suffix.lower() not in MJCF and mass is None:
+def _as_urdf(path: Path, made: _Made | None, beside: Path | None) -> tuple[Path, list[str]]:
+    """The file, or a URDF that is made of it in the cache folder, and notes on what is made."""
+    if made is None:
         return path, []
     if beside is None:
         raise MachineError("there is no folder for caches", where=str(path), hint="set XDG_CACHE_HOME")
-    repair, made = Repair(path, mass, limits=False), beside.with_suffix(".urdf")
+    repair, copy = Repair(path, made.mass, limits=made.repair), beside.with_suffix(".urdf")
     for one in repair.findings:
-        if not one.change:
+        if not one.change and not (made.repair and repair.robot is not None):
             raise PluginError(one.what, where=one.where, hint="`karolos robot check` shows everything at once")
-    with writing(made):
-        made.parent.mkdir(parents=True, exist_ok=True)
-    repair.write(made)
-    return made, [f"repaired: {one.what}: {one.change}" for one in repair.findings]
+    with writing(copy):
+        copy.parent.mkdir(parents=True, exist_ok=True)
+    repair.write(copy)
+    return copy, [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
 
 
 @lru_cache(maxsize=1)

@@ -135,7 +135,7 @@ def arm_joints(model: ArmModel) -> list[Joint]:
             raise PluginError(problem, where=f"{model.urdf}: joint {joint.name}", hint="name it in `locked`")
     if len(found) != len(model.home):
         raise PluginError(
-            f"{len(found)} revolute joints, but a home pose of {len(model.home)}",
+            f"{len(found)} revolute joints, but a home pose for {len(model.home)} joints",
             where=str(model.urdf),
             hint=f"the joints that are not locked: {', '.join(joint.name for joint in found)}",
         )

@@ -112,7 +112,7 @@ def _reached(joints: tuple[Joint, ...], frames: tuple[Vector, Vector, float], ho
         if inner.contains(at.position) and all(_reaches(chain, joints, home, place, yaw) for place in corners):
             return inner
     hint = "it needs another home pose: a robot of its own, with its own `home` and `workspace`"
-    raise PluginError("with this gripper the tool does not reach half of the workspace", hint=hint)
+    raise PluginError("with this gripper the tool reaches less than half of the workspace", hint=hint)
 
 
 def _reaches(

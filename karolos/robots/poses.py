@@ -27,9 +27,11 @@ LIMIT_DISTANCE = 0.1
 HOME_SPEED = 0.8
 """Fraction of the joints' speeds that a full action may take at home."""
 SMALLEST_WORKSPACE = 0.04
-"""Smallest edge of a workspace in m."""
-ENOUGH, MORE, LITTLE = 0.85, 1.1, 0.3
-"""Limits of `Place.room`: the search ends; required gain of a later place; below it the search goes to the sides."""
+"""Least edge of a workspace in m."""
+ENOUGH, MORE, LITTLE, LEAST = 0.85, 1.1, 0.3, 0.08
+"""Rooms: at which the search ends, by how much a later one must be better, below which an arm stands higher or lower,
+and below which the search goes to other heights and to the sides: policies that learned at one height are worse at half
+of it (UR3: picking .80, at the usual height 1.00)."""
 CONFIGURATIONS, DIFFERENT = 3, 0.5
 """Number of different poses with the same tool that are compared, and smallest difference of a joint in rad."""
 HOME_HEIGHT, HOME_SHARE = 0.2, 0.3
@@ -123,14 +125,14 @@ class Poses:
         """The home pose with the largest workspace; None if the tool cannot point down anywhere around the base.
 
         The search begins in front of the base, at the height and distance of the built-in arms. It goes on at other
-        distances and lower, and then to the sides, until the goals of the tasks have room.
+        distances, and only if there is hardly room at other heights and then to the sides.
         """
         height = min(HOME_HEIGHT, HOME_SHARE * self.length)
         lifts = [max(share * height, self.body.lowest + 0.03) for share in HEIGHTS]
         away = dict.fromkeys([min(0.5, 0.55 * self.length), *(self.length * np.array([0.55, 0.45, 0.65, 0.35]))])
         best: Place | None = None
         for direction, lift, distance in product((0.0, -pi / 2, pi / 2, pi), lifts, away):
-            if best is not None and best.room > (LITTLE if direction else ENOUGH):
+            if best is not None and best.room > (LEAST if direction or lift != lifts[0] else ENOUGH):
                 break
             for found in self._at((distance * cos(direction), distance * sin(direction), lift)):
                 if found.room > (MORE * best.room if best else 0.0):

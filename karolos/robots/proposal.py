@@ -433,7 +433,7 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
             raise PluginError(what, where=f"{path}: joint {name}")
     if len(arm) < 5:
         raise PluginError(
-            f"an arm of {len(arm)} turning joints ({', '.join(arm) or 'none'})",
+            f"the arm has only {len(arm)} turning joints ({', '.join(arm) or 'none'})",
             where=str(path),
             hint="with five or more it can point its tool down at any place; --tool LINK chooses its end",
         )
@@ -474,7 +474,7 @@ def _flanges(
     usual = {one: None for one in usual if not HAND_NAMES.search(one)}
     name = known.flange or next(iter(usual), None)
     if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
+        raise PluginError(f"no fixed joints connect it to {last.child}", where=f"link {name}")
     axis, (place, turn) = np.array(last.axis), frames[name] if name is not None else (np.zeros(3), np.eye(3))
     shapes, what = points_of(found.robot, last.child), f"the frame {name}"
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
@@ -572,7 +572,7 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
     name = named or next(iter(usual), None)
     if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
+        raise PluginError(f"no fixed joints connect it to {last.child}", where=f"{path}: link {name}")
     place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
     tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one

@@ -135,7 +135,7 @@ def _model(arm: int, gripper: str | None) -> ArmModel:
         if model is not None and _works(model):
             return model
         write_whole(refused, "", durable=False)
-    raise PluginError(f"none of {ATTEMPTS} arms can work", setting="robot.arm", hint="choose another number")
+    raise PluginError(f"none of {ATTEMPTS} sampled arms can work", setting="robot.arm", hint="choose another number")
 
 
 def _draws(arm: int) -> Iterator[Generator]:

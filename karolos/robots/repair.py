@@ -37,6 +37,7 @@ MJCF = (".xml", ".mjcf")
 XACRO = "xmlns:xacro"
 """Declaration of its prefix."""
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
+_MACRO = re.compile(r"<xacro:|\$[({]")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 
 
@@ -75,7 +76,7 @@ class Repair:
                 self.findings.append(Finding(str(path), "MJCF has no speeds of joints", change))
             else:
                 text = urdf.text_of(path)
-                if expand and XACRO in text:
+                if expand and XACRO in text and _MACRO.search(text):
                     text = _expanded(path)
                     change = "expanded with the values that the file gives"
                     self.findings.append(Finding(str(path), "macros of xacro", change))
@@ -89,7 +90,7 @@ class Repair:
     def write(self, path: Path) -> None:
         """Write the repaired copy, with names of meshes relative to its folder. Raises PluginError, MachineError."""
         if self.robot is None:
-            raise PluginError("it is no URDF, which cannot be repaired", where=str(self.path))
+            raise PluginError("it is not a URDF and cannot be repaired", where=str(self.path))
         for mesh in self.robot.iter("mesh"):
             mesh.set("filename", os.path.relpath(mesh.get("filename", ""), path.absolute().parent).replace(os.sep, "/"))
         write_whole(path, self._text() + "\n")

@@ -133,5 +133,5 @@ class ArmSettings(Settings):
     def _range_rises(self) -> Self:
         if self.stiffness_range is not None and not self.stiffness_range[0] < self.stiffness_range[1]:
             low, high = self.stiffness_range
-            raise ValueError(f"stiffness_range ends ({high:g}) not above where it begins ({low:g})")
+            raise ValueError(f"stiffness_range must be [smallest, largest], not [{low:g}, {high:g}]")
         return self

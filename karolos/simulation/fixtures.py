@@ -64,7 +64,9 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     description = urdf.load(path, driven=False)
     for joint in description.joints:
         if joint.mimic is not None:
-            raise PluginError(f"it mimics {joint.mimic}, which only a motor does", where=f"{path}: joint {joint.name}")
+            raise PluginError(
+                f"it mimics {joint.mimic}, which is possible only with a motor", where=f"{path}: joint {joint.name}"
+            )
     robot = copy.deepcopy(description.robot)
     for link in robot.findall("link"):
         for shape in link.findall("collision"):
@@ -183,7 +185,7 @@ class _MjcfReader:
             self._complete(part, usual)
         joints, inertials = ([part for part in parts if part.tag == tag] for tag in ("joint", "inertial"))
         if len(joints) != bool(parent) or len(inertials) > 1:
-            raise self._error(body, "a body on another has one joint, the base none, and each one <inertial> at most")
+            raise self._error(body, "a moving body needs one joint, the base none, and each at most one <inertial>")
         joint = joints[0] if joints else Element("joint", range="0 0")
         name, turns = joint.get("name", body.get("name", "base")), joint.get("type", "hinge") == "hinge"
         unlimited = "range" not in joint.attrib or joint.get("limited") == "false"
@@ -313,7 +315,7 @@ class _MjcfArm(_MjcfReader):
             self._complete(part, usual)
         joints = [part for part in parts if part.tag == "joint"]
         if len(joints) > 1:
-            raise self._error(body, f"{len(joints)} joints of one body", "an arm has one for each")
+            raise self._error(body, f"one body has {len(joints)} joints", "a body of an arm has one joint")
         pivot = self._numbers(joints[0], "pos", (0.0, 0.0, 0.0)) if joints else np.zeros(3)
         name, (place, turn) = body.get("name", f"body{len(self.robot)}"), self._pose(body)
         drawn = [geom for geom in parts if geom.tag == "geom"]

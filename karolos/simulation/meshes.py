@@ -221,7 +221,7 @@ def _volumes(corners: NDArray[np.floating[Any]], faces: NDArray[np.intp]) -> Arr
 def _moments(
     corners: NDArray[np.floating[Any]], faces: NDArray[np.intp], *, convex: bool
 ) -> tuple[float, Array, Array]:
-    """Volume, centre and inertia per mass of what triangles enclose: sums over tetrahedra from one point.
+    """Volume, centre and inertia per mass of the space inside triangles: sums over tetrahedra from one point.
 
     Triangles of a hull may face either way: the point is inside, and each tetrahedron counts.
     """

@@ -133,7 +133,7 @@ def _geometry(shape: Shape) -> Element:
             return Element("cylinder", radius=repr(radius), length=repr(length))
         case Capsule(radius=radius, length=length):
             return Element("capsule", radius=repr(radius), length=repr(length))
-    raise TypeError(f"no shape: {shape!r}")
+    raise TypeError(f"not a shape: {shape!r}")
 
 
 def place_element(element: Element, position: Vector, orientation: Quaternion) -> None:

@@ -171,7 +171,10 @@ def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
         lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
     def refuse_entity(name: str, *_: object) -> None:  # a few lines of them can expand to gigabytes
-        raise PluginError(f"the entity {short(name)}; a URDF has none", where=f"{path}:{parser.CurrentLineNumber}")
+        raise PluginError(
+            f"it declares the entity {short(name)}; entities are not allowed in a URDF",
+            where=f"{path}:{parser.CurrentLineNumber}",
+        )
 
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.EntityDeclHandler = refuse_entity
@@ -333,7 +336,9 @@ def _load(
         _find_meshes(source)
         if len(moving) > MOST_JOINTS:
             hint = "an arm has five to eight; hold others by `locked`"
-            raise PluginError(f"{len(moving)} joints that move, more than {MOST_JOINTS}", where=str(path), hint=hint)
+            raise PluginError(
+                f"{len(moving)} moving joints; at most {MOST_JOINTS} are allowed", where=str(path), hint=hint
+            )
     _merge(robot, held)
     found = []
     for element in moving:

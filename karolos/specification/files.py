@@ -88,7 +88,7 @@ def shipped_text(name: str) -> str:
     if not path.exists():
         hint = "`karolos spec list` shows them"
         near = closest(name, shipped_specs())
-        raise UsageError(f"no spec {name!r} ships with karolos", hint=f"did you mean {near}? {hint}" if near else hint)
+        raise UsageError(f"there is no shipped spec {name!r}", hint=f"did you mean {near}? {hint}" if near else hint)
     text = path.read_text("utf-8")
     lines = text.splitlines(keepends=True)
     extends = (read(text, source)[0] or Node({}, Mark(source))).get("extends")

@@ -444,11 +444,17 @@ FineTuneKey = Annotated[str, _below(FINE_TUNE_KEYS, "fine_tune")]
 
 
 class Transfer(Settings):
-    """A matrix: each variant is a source of policies and a target for the policies of the others."""
+    """A matrix: each variant is a target for the policies of the sources, and a source itself unless `sources` says."""
 
     robots: tuple[str, ...] | None = Setting(None, description="names of the robots to transfer between")
     variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[VariantKey, Any]] | None = Setting(
         None, description="alternative to robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
+    )
+    sources: tuple[str, ...] | None = Setting(
+        None, description="the variants whose policies are tested on the others; null: all"
+    )
+    references: tuple[str, ...] = Setting(
+        (), description="further variants with runs of their own, which say what training there achieves"
     )
     modes: tuple[Mode, ...] = Setting(
         ("zero_shot", "fine_tune", "scratch"),
@@ -480,7 +486,18 @@ class Transfer(Settings):
         if not {"zero_shot", "fine_tune"} & set(self.modes):
             raise ValueError("transfers nothing: add zero_shot or fine_tune to modes")
         if self.fine_tune and "fine_tune" not in self.modes:
-            raise ValueError("fine_tune is a budget that no mode uses: add fine_tune to modes, or remove it")
+            raise ValueError("no mode uses fine_tune: add fine_tune to modes, or remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _knows_sources(self) -> Any:
+        for name in (*(self.sources or ()), *self.references):
+            if name not in self.settings:
+                raise ValueError(f"{name} is no variant, which are {', '.join(self.settings)}")
+        if self.sources == ():
+            raise ValueError("needs a source, or sources: null for all")
+        if self.references and "scratch" not in self.modes:
+            raise ValueError("has references that no mode uses: add scratch to modes")
         return self
 
     @property
@@ -489,6 +506,16 @@ class Transfer(Settings):
         if self.robots is not None:
             return {name: {"robot.name": name} for name in self.robots}
         return self.variants or {}
+
+    @property
+    def source_names(self) -> tuple[str, ...]:
+        """The sources, in the order of the variants."""
+        return tuple(name for name in self.settings if self.sources is None or name in self.sources)
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """Sources and references: the variants with runs of their own."""
+        return tuple(name for name in self.settings if name in (*self.source_names, *self.references))
 
     def place(self, variant: str) -> str:
         """The key path in the spec that makes a variant."""

@@ -69,7 +69,7 @@ def find_experiments(
         UsageError: the order is unknown, or the filter cannot be read or names what no run has.
     """
     if order not in ORDERS:
-        raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
+        raise UsageError(f"experiments cannot be sorted by {order!r}", hint=alternatives(order, ORDERS, what="orders"))
     kept = None if where is None else store.matching(where)
     query = select(*{RUNS.c[name] for name in ("run", "experiment", "state", order)})
     query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())

@@ -191,7 +191,7 @@ class _Parser:
             case ast.Compare(ast.Name() as key, [op], [right]) if type(op) in _OPERATORS:
                 return self._comparison(key, _OPERATORS[type(op)], right)
             case _:
-                raise self._error(node.col_offset, "does not begin a comparison")
+                raise self._error(node.col_offset, "is not the beginning of a comparison")
 
     def _comparison(self, key: ast.Name, operator: str, right: ast.expr) -> Condition:
         values = right.elts if operator == "in" and isinstance(right, ast.Tuple | ast.List) else [right]
@@ -220,7 +220,7 @@ def _tokens(text: str) -> Iterator[Token]:
         found = _TOKEN.match(text, position)
         if found is None or found.lastgroup is None:
             column = position + len(text[position:]) - len(text[position:].lstrip())
-            raise _error(f"{text[column]!r} cannot be read", column + 1, 'texts stand in "quotes" that are closed')
+            raise _error(f"{text[column]!r} cannot be read", column + 1, 'write texts in "quotes" and close them')
         kind, word, column = found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1
         if kind == "text":
             plain = re.sub(r"\\(.)", r"\1", word[1:-1], flags=re.DOTALL)

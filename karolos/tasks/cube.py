@@ -241,7 +241,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
     gripper = check_pads(robot, task, "grasps")
     if size > 0.9 * gripper.width:
         raise UsageError(
-            f"a cube of {size:g} m does not go into the gripper",
+            f"a cube of {size:g} m does not fit into the gripper",
             setting="task.object_size",
             hint=f"it opens {gripper.width:g} m; a tenth of that is needed as clearance",
         )
@@ -319,7 +319,7 @@ class CarryTask(CubeTask):
     gripper: Gripper | Cup
 
     def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
-        """Place a cube there (m): in the gripper (`grasped`), the open gripper around or above it (`near`), alone."""
+        """Place a cube there (m): in the gripper (`grasped`), the open gripper around or above it (`near`), or free."""
         if stage == "grasped":
             cube.put_in_gripper(self._robot, self.gripper, place)
         elif stage == "near":

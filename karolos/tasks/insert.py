@@ -186,7 +186,7 @@ class Insert(Task):
         self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
         self.held_mass = self.settings.peg_mass
         if self._opening > 0.9:
-            raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
+            raise PluginError(f"a peg of {self.width:g} m does not fit into the gripper", where=type(robot).__name__)
         if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):
             what = "these actions do not turn the tool, and the hole is turned"
             raise UsageError(what, setting="robot.control", hint="set robot.control: impedance, or task.shape: round")

@@ -40,7 +40,7 @@ def check_turning(robot: RobotView) -> Box:
         raise UsageError("these actions do not turn the tool", setting="robot.control", hint=hint)
     if robot.dexterous is None:
         hint = "declare `dexterous` in its model"
-        raise UsageError("the robot does not say where its tool can be turned", setting="robot", hint=hint)
+        raise UsageError("it is unknown where this robot can turn its tool", setting="robot", hint=hint)
     return robot.dexterous
 
 

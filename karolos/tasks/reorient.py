@@ -161,7 +161,7 @@ class Reorient(CubeTask):
         self.gripper = check_pads(robot, type(self).__name__, "turns what it holds")
         if EDGES[1] * settings.object_size > 0.7 * self.gripper.width:
             raise UsageError(
-                f"an object of {settings.object_size:g} m does not go into the gripper",
+                f"an object of {settings.object_size:g} m does not fit into the gripper",
                 setting="task.object_size",
                 hint=f"it opens {self.gripper.width:g} m, and the object is 4/3 of its size wide",
             )

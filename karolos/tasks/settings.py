@@ -36,8 +36,7 @@ def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
 
 
 def seen(robot: RobotView, place: Vector) -> Vector:
-    """Place in m at which cameras see an object that is here; noise comes later."""
-    # robots of karolos 0.2 have no `seen_off`
+    """Place in m at which cameras see an object here; noise comes later. Robots of karolos 0.2 have no `seen_off`."""
     x, y, z = getattr(robot, "seen_off", (0.0, 0.0, 0.0))
     return place[0] + x, place[1] + y, place[2] + z
 

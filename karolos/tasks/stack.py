@@ -86,9 +86,9 @@ class Stack(CarryTask):
         self.ground = ground(robot.workspace, "box", settings.object_size / 2)
         if settings.threshold >= settings.object_size / 2:
             raise UsageError(
-                f"within {settings.threshold:g} m of its place a cube does not stand on the other",
+                f"a cube {settings.threshold:g} m off its place does not stand on the other one",
                 setting="task.threshold",
-                hint=f"set less than half an edge, {settings.object_size / 2:g} m",
+                hint=f"set less than {settings.object_size / 2:g} m, half an edge",
             )
         if (top := settings.object_size * (settings.height + 0.5) + HOVER_HEIGHT) > robot.workspace.high[2]:
             raise UsageError(

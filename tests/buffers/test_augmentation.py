@@ -140,7 +140,7 @@ def test_a_twist_turns_tool_and_goal_by_one_angle_about_their_own_z() -> None:
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"arm": {"control": "joint"}}, "what becomes of joint_positions in a mirror or elsewhere is not known"),
+        ({"arm": {"control": "joint"}}, "it is unknown how joint_positions changes if the scene is mirrored or moved"),
         ({"environment": {"actions": "discrete"}}, "discrete actions have no mirror image"),
     ],
 )

@@ -150,7 +150,6 @@ def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path: Path, mon
 @pytest.mark.parametrize(
     ("command", "number", "said"),
     [
-        ("check", signal.SIGINT, "interrupted"),
         ("check", signal.SIGTERM, "terminated"),
         ("sweep", signal.SIGINT, "hostile is stopped: the same command continues it"),
         ("suite", signal.SIGTERM, "all is stopped: the same command with --resume continues it"),

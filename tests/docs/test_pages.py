@@ -73,7 +73,8 @@ def shrunk(words: list[str]) -> list[str]:
     if words[0] == "compare" and "figures" in words and "--figure" not in words:
         return [*words, "--figure", "steps"]  # tests/report draws all of them
     if words[0] != "run":
-        return [*words, *SMALLER.get(words[0], [])]
+        short = ["task.max_steps=5"] if words[0] == "play" and not words[1].startswith("@") else []
+        return [*words, *SMALLER.get(words[0], []), *short]
     spec = load_spec(words[1], [word for word in words[2:] if "=" in word and not word.startswith("-")])
     more = [] if spec.task is None else ["task.max_steps=10"]
     if spec.demonstrations is not None:
@@ -90,10 +91,11 @@ PAGES = [ROOT / "README.md", *sorted(DOCS.glob("*.md"))]
 
 
 @pytest.fixture
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_proposals: None) -> Iterator[Path]:
     """A folder as a reader of the pages has it; plugins and environments that a page adds are forgotten at the end."""
     monkeypatch.setattr(registration, "registry", dict(registration.registry))
     monkeypatch.setattr("karolos.plans.plan.make_launcher", lambda *_: FakeLauncher())  # tests/plans starts processes
+    monkeypatch.setattr("karolos.plans.study.Study.figures", lambda _: {})  # tests/plans draws them
     for name in ("specs", "examples"):
         shutil.copytree(ROOT / name, tmp_path / name)
     monkeypatch.chdir(tmp_path)

@@ -53,10 +53,10 @@ def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) 
     few = ("orchestrator.processes=0", "orchestrator.environments=2")  # building worlds takes longer than episodes
     spec = changed_spec(saved.spec, few, trained=saved.signature)
     with make_orchestrator(spec, randomize=False) as environments:
-        done = play_episodes(environments, saved.agent, episode_seeds(spec.testing.final_seed, 10), steps=0, seconds=0)
-    last = Evaluation.joined([folder.final()["last"]], 10)
+        done = play_episodes(environments, saved.agent, episode_seeds(spec.testing.final_seed, 6), steps=0, seconds=0)
+    last = Evaluation.joined([folder.final()["last"]], 6)
     # its input is normalised with other last bits, and a throw at the edge of its target may miss then
-    assert done.success_end >= last.success_end - 0.11
+    assert 6 * done.success_end >= 6 * last.success_end - 1.01
 
 
 @pytest.mark.parametrize("missing", [False, True])

@@ -35,14 +35,17 @@ def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_wr
     ]  # fmt: skip
 
 
-def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
+@pytest.fixture
+def path(tmp_path: Path, quick_proposals: None) -> Path:
+    return exported_arm(tmp_path).model.urdf
+
+
+def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(path: Path) -> None:
     path.write_text(path.read_text().replace("tool0", "somewhere"))
     assert propose(path).model.tool == pytest.approx((0, 0, TOOL + 0.015 - 0.01), abs=1e-6)
 
 
-def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
+def test_a_gripper_with_turning_fingers_is_locked(path: Path) -> None:
     path.write_text(path.read_text().replace('"prismatic"', '"revolute"'))
     found = propose(path)
     assert found.model.fingers is None
@@ -53,7 +56,7 @@ def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('type="revolute"', 'type="prismatic"', "an arm of 1 turning joints (joint6)"),
+        ('type="revolute"', 'type="prismatic"', "the arm has only 1 turning joints (joint6)"),
         ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
         ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
         ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
@@ -62,9 +65,8 @@ def test_a_gripper_with_turning_fingers_is_locked(tmp_path: Path) -> None:
     ],
 )
 def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(
-    tmp_path: Path, old: str, new: str, message: str
+    path: Path, tmp_path: Path, old: str, new: str, message: str
 ) -> None:
-    path = exported_arm(tmp_path).model.urdf
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
@@ -79,8 +81,7 @@ HOSTILE = (r"C:\new\u", '"""+1/0+"""', "it's", "#{x}", "$$name")
 """Names that are not what they seem in Python source, its docstrings and comments, or in a template."""
 
 
-def test_names_become_literals_in_the_module(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = exported_arm(tmp_path).model.urdf
+def test_names_become_literals_in_the_module(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = path.read_text()
     for old, new in zip(("joint1", "slide1", "pad1", "link6", "elbow"), HOSTILE, strict=True):
         text = text.replace(f'"{old}"', quoteattr(new))
@@ -97,8 +98,7 @@ def test_names_become_literals_in_the_module(tmp_path: Path, monkeypatch: pytest
     module.Mine(module.Mine.Settings())  # the model fits the URDF in the package
 
 
-def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
+def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(path: Path, tmp_path: Path) -> None:
     mark = path.parent.parent / "meshes" / "mark.obj"
     mark.with_suffix(".mtl").write_text("map_Kd /etc/passwd\n")
     mark.write_text("mtllib mark.mtl\nmtllib /dev/zero\nmtllib ../../secret.mtl\n" + mark.read_text())
@@ -111,8 +111,7 @@ def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(tmp_path: P
         write_starter("robot", "mine", tmp_path / "mine", urdf=path)
 
 
-def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
+def test_of_two_arms_one_is_chosen_by_its_tool(path: Path) -> None:
     whole = path.read_text()
     first = whole.index('<link name="link1">')
     second = re.sub(r'"(link|joint|pad|slide|elbow|tool0)', r'"left_\1', whole[first : whole.index("<transmission")])
@@ -128,9 +127,9 @@ def test_of_two_arms_one_is_chosen_by_its_tool(tmp_path: Path) -> None:
         propose(path, known=Known("tool7"))
 
 
-def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(poses, "HEIGHTS", (1.0,))  # nowhere is room enough, so that all others are looked at
-    path = exported_arm(tmp_path).model.urdf
+def test_home_lies_in_the_workspace_below_a_ceiling_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(poses, "HEIGHTS", (1.0,))
+    monkeypatch.setattr(poses, "ENOUGH", 0.85)  # nowhere is room enough, so that all others are looked at
     upright = '<child link="base"/><origin xyz="0 0 0"/>'
     text = path.read_text()
     assert upright in text
@@ -139,8 +138,7 @@ def test_home_lies_in_the_workspace_below_a_ceiling_too(tmp_path: Path, monkeypa
     type("Mine", (Arm,), {"model": model, "Settings": ArmSettings})(ArmSettings())  # refuses a home outside
 
 
-def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(tmp_path: Path) -> None:
-    path = exported_arm(tmp_path).model.urdf
+def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(path: Path) -> None:
     text = path.read_text()
     for old, new in {
         'lower="-3.0" upper="3.0" effort="60" velocity="2.5"': 'lower="-166" upper="166" effort="60" velocity="10"',

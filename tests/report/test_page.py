@@ -187,19 +187,17 @@ def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_ou
 
 
 @in_browser
-def test_security_policy_stops_what_should_ever_get_into_the_page(tmp_path: Path, usual: str) -> None:
+def test_unchecked_box_hides_its_contender_and_the_security_policy_stops_what_should_ever_get_into_the_page(
+    tmp_path: Path, wide: tuple[_Picture, list[str]], usual: str
+) -> None:
     """And shows that the tests above would hear of it."""
     foreign = '<script>console.error("ran")</script><img src="http://127.0.0.1:9/x.png"></body>'
-    _, console = opened(usual.replace("</body>", foreign), tmp_path, 400)
+    changed = usual.replace(' checked id="show-1"', ' id="show-1"').replace("</body>", foreign)
+    hidden, console = opened(changed, tmp_path, 1280)
     told = "\n".join(console)
     for part in ("inline script violates", "Loading the image"):
         assert part in told
     assert '"ran"' not in told
-
-
-@in_browser
-def test_unchecked_box_hides_its_contender(tmp_path: Path, wide: tuple[_Picture, list[str]], usual: str) -> None:
     shown, _ = wide
-    hidden, _ = opened(usual.replace(' checked id="show-1"', ' id="show-1"'), tmp_path, 1280)
     assert near(hidden, COLOURS[1]).sum() < near(shown, COLOURS[1]).sum() / 3  # its entry of the legend stays
     assert near(hidden, COLOURS[0]).sum() > near(shown, COLOURS[0]).sum() * 0.9

@@ -21,7 +21,7 @@ MISTAKES = {
 
 
 @pytest.fixture
-def arm(tmp_path: Path) -> Path:
+def arm(tmp_path: Path, quick_proposals: None) -> Path:
     return exported_arm(tmp_path).model.urdf
 
 

@@ -103,7 +103,7 @@ class Gymnasium(Environment):
             if "max_episode_steps" in self.kwargs:
                 raise ValueError("kwargs cannot have max_episode_steps; set max_steps instead")
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
-                raise ValueError(f"reward_range must go from the smallest to the largest, not {self.reward_range}")
+                raise ValueError(f"reward_range must be [smallest, largest], not {self.reward_range}")
             if self.goals and (self.flatten_goals or self.success_return is not None):
                 other = "flatten_goals" if self.flatten_goals else "success_return"
                 raise ValueError(f"goals and {other} exclude each other")
@@ -347,7 +347,7 @@ def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
     if has_goals and not (settings.flatten_goals or settings.goals):
         raise UsageError(
-            f"{settings.id} has goals, and nothing says what to do with them",
+            f"{settings.id} has goals, and the spec does not say how to use them",
             setting="environment.goals",
             hint="goals: true keeps them for hindsight; flatten_goals: true takes them as observations",
         )
@@ -532,19 +532,19 @@ class GymnasiumGoals(GoalRule):
                 f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
                 f"{type(error).__name__}: {line}",
                 setting=GOALS_SETTING,
-                hint="compute the rewards (n,) along the last axis, from the goals alone",
+                hint="compute the rewards (n,) along the last axis, only from the goals",
             ) from error
         wrong = np.flatnonzero(~np.isclose(given, found, rtol=1e-4, atol=1e-5))
         if wrong.size:
             raise UsageError(
                 f"{self._name} gave reward {given[wrong[0]]:g}, its compute_reward says {found[wrong[0]]:g}",
                 setting=GOALS_SETTING,
-                hint="hindsight needs a reward that depends on the two goals alone",
+                hint="hindsight needs a reward that depends only on the two goals",
             )
         if best is not None:
             if np.unique(given).size > 2 or np.ptp(best):
                 raise UsageError(
-                    f"{self._name} has dense rewards, which do not say when the goal is reached",
+                    f"{self._name} has dense rewards, which do not show whether the goal is reached",
                     setting="environment.success_reward",
                     hint=f"give the reward of a step that reaches the goal; exactly at the goal it is {best[0] + 0:g}",
                 )

@@ -282,7 +282,7 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     damping, force, ahead = tool.damping.copy(), np.zeros(6), np.zeros(6)
     for i in range(6):
         damping[i, i] += h * spring[i // 3]
-    for i in range(6):  # of its speed, what damping does not need more force for than there may be
+    for i in range(6):  # its speed, limited so that damping needs at most the allowed force
         half = i // 3
         speed = np.sqrt(tool.aim[7 + 3 * half] ** 2 + tool.aim[8 + 3 * half] ** 2 + tool.aim[9 + 3 * half] ** 2)
         most = spring[half] * spring[2 + half] / damping[i, i]

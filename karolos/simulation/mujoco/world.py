@@ -332,6 +332,8 @@ def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
         for key in ("name", "link"):  # a link "world" would become MuJoCo's own
             if element.get(key) == "world":
                 element.set(key, "world link")
+        if element.tag == "color":  # pictures leave translucent bodies out
+            element.set("rgba", " ".join([*element.get("rgba", "").split()[:3], "1"]))
     meshes = {}
     for number, mesh in enumerate(robot.iter("mesh")):
         meshes[f"{number}.stl"] = stl(triangles(Path(mesh.get("filename", ""))))
@@ -400,6 +402,6 @@ def _context(width: int, height: int) -> Any:
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MachineError(
-        f"MuJoCo finds no OpenGL to draw with ({'; '.join(problems)})",
+        f"MuJoCo finds no OpenGL for pictures ({'; '.join(problems)})",
         hint=RENDERER_HINT,
     )
