@@ -166,13 +166,13 @@ class Arm:
         if limits == "task":
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
+        self.tool_step = self.settings.tool_step
+        self.mode = mode = self.settings.control or needs.control
         steps = [min(self.settings.joint_step, speed * period) for speed in self.limits.velocity]
-        if self.settings.joint_slots is not None:  # what actions do shall not depend on the size of an arm
+        if mode == "joint" and self.settings.joint_slots is not None:  # actions do alike whatever the size of an arm
             levers = np.linalg.norm(self.chain.jacobian(self.chain.forward(self.model.home))[:3], axis=0)
             steps = np.minimum(steps, self.settings.tool_step / np.maximum(levers, 1e-6)).tolist()
         self.joint_step = tuple(steps)
-        self.tool_step = self.settings.tool_step
-        self.mode = mode = self.settings.control or needs.control
         self.engine_needs: dict[str, Ability] = {}
         if mode == "impedance":
             self.engine_needs["robot.control"] = "impedance"
