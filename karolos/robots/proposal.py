@@ -31,7 +31,7 @@ from .grippers.parallel import GripperModel
 from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange
 from .mounting import mounted
-from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
+from .poses import ENOUGH, LEAST, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
 from .settings import ArmSettings
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -280,8 +280,8 @@ class _Site:
             lowest = FLOOR_CLEARANCE + max(float(((pads - tool[0]) @ turn[:, 2]).max()), 2 * FLOOR_CLEARANCE)
         x, y, _ = (turn.T @ across).tolist()
         shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
-        body = Outline(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
-        self.base = spanning(points_of(robot, joints[0].parent))
+        base = spanning(points_of(robot, joints[0].parent))
+        body = Outline(shapes, spanning(pads), base, lowest, (x, y) if across.any() else None)
         self._made = joints, tool, body, USUAL_STEP
         self.poses, self.floor = Poses(*self._made), 0.0
 
@@ -289,13 +289,14 @@ class _Site:
     def place(self) -> Place | None:
         """Home and workspace above the floor; None where the tool cannot point down.
 
-        An arm that has little room on the floor at its base stands higher or lower than the table that it works on.
+        An arm that has hardly any room in front of its base stands higher or lower than the table that it works on.
         """
         home, workspace = self._known.home, self._known.workspace
         if home is not None:
             return self.poses.at(home, workspace)
         found, first = self.poses.best(), self.poses
-        for share in SHOULDERS if found is None or found.room < LITTLE else ():
+        ahead = found is not None and found.room > LEAST and found.tool[0] > abs(found.tool[1])
+        for share in () if ahead else SHOULDERS:
             floor = round(first.shoulder - share * first.length, 2)
             poses = Poses(*self._made, floor)
             other = poses.best()
@@ -311,7 +312,7 @@ class _Site:
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of links that can collide, see `Poses.pairs`."""
-        return self.poses.pairs(self.place, self.base) if self.place is not None else []
+        return self.poses.pairs(self.place.corners) if self.place is not None else []
 
 
 def doubts(found: urdf.Description) -> list[str]:
