@@ -158,7 +158,7 @@ class Poses:
         found: list[tuple[float, list[float], float]] = []
 
         def look(start: Array, yaw: float) -> None:
-            pose = self._solved(start, target, yaw, self.rest, 60)
+            pose = self._led(start, downward(target, yaw), self.rest, 60)
             if self._reaches(pose, target):
                 distance = float(np.minimum(pose - self.low, self.high - pose).min())
                 elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
@@ -173,7 +173,7 @@ class Poses:
         homes: list[Array] = []
         for _, pose, yaw in sorted(found, reverse=True):
             if all(np.abs(np.subtract(pose, other))[:-1].max() > DIFFERENT for other in homes):
-                homes.append(self._solved(np.array(pose), target, yaw, self.rest, 500))
+                homes.append(self._led(np.array(pose), downward(target, yaw), self.rest, 500))
         for home in homes[:CONFIGURATIONS]:
             yield self._around(tuple(round(float(one), 4) + 0.0 for one in home), None)
 
@@ -236,10 +236,6 @@ class Poses:
         links = self._links(pose, [*others, np.vstack([hand, self.body.fingers])])
         links.append(self.body.base + self.chain.base)
         return [(a, b) for a, b in pairs if _apart(links[a], links[b])]
-
-    def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
-        """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
-        return self._led(pose, downward(target, yaw), rest, steps)
 
     def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""

@@ -470,13 +470,9 @@ def _flanges(
     It is at the frame that the user named, or one of a usual name, or where the file's own hand begins, or at the end
     of the last link along its joint's axis. Where shapes stick out there, it is at their end.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in FLANGE_NAMES for one in frames if like.search(one) and one != last.child)
-    usual = {one: None for one in usual if not HAND_NAMES.search(one)}
+    usual = [one for one in _frames_like(found, last, FLANGE_NAMES) if not HAND_NAMES.search(one)]
     name = known.flange or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
-    axis, (place, turn) = np.array(last.axis), frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    axis, (place, turn) = np.array(last.axis), _frame_of(found, last, name)
     shapes, what = points_of(found.robot, last.child), f"the frame {name}"
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     ends = (shapes.min(0, initial=0.0) + shapes.max(0, initial=0.0)) / 2
@@ -495,6 +491,19 @@ def _flanges(
     yaws = (0.0, pi / 2) if known.flange_yaw is None else (known.flange_yaw,)
     made = (_rpy(frame @ urdf.about((0.0, 0.0, 1.0), yaw)) for yaw in yaws)
     return [(Flange(last.child, where, rpy), note) for rpy in made]
+
+
+def _frames_like(found: urdf.Description, last: Joint, names: Sequence[re.Pattern[str]]) -> list[str]:
+    """The frames on the last link of such names, the best first."""
+    frames = [name for name, one in found.carriers.items() if one == last.child != name]
+    return list(dict.fromkeys(one for like in names for one in frames if like.search(one)))
+
+
+def _frame_of(found: urdf.Description, last: Joint, name: str | None) -> tuple[Array, Array]:
+    """Position (3,) and rotation (3, 3) of a frame on the last link; None: of the link itself."""
+    if name is not None and found.carriers.get(name) != last.child:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
+    return found.frames[name] if name is not None else (np.zeros(3), np.eye(3))
 
 
 def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: bool) -> Array:
@@ -569,12 +578,9 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
     fingers, or the end of the last link along its joint's axis.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
+    usual = _frames_like(found, last, TOOL_NAMES)
     name = named or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
-    place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    place, turn = _frame_of(found, last, name)
     tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))
