@@ -1,4 +1,4 @@
-"""Options that commands share, and the runs that a typed text means."""
+"""Options that several commands have, and the runs that an argument means."""
 
 from __future__ import annotations
 
@@ -20,19 +20,19 @@ if TYPE_CHECKING:
     from karolos.records.run_records import RunSummary
     from karolos.store import Store
 
-RUN_HELP = "A run's id or its beginning, @last for the newest run, @last-1 for the one before, or a run folder."
+RUN_HELP = "A run: its id, the beginning of its id, its folder, @last (the newest run) or @last-1 (the run before)."
 MANY_HELP = (
-    "A run's id or its beginning, @last, @last-2, a run folder; or an experiment's name, the beginning of its hash "
-    "or a SPEC.yaml, which select all runs of the experiment."
+    "One run: its id, the beginning of its id, its folder, @last or @last-2. Or all runs of an experiment: its name, "
+    "the beginning of its hash, or a SPEC.yaml."
 )
 FILTER_HELP = (
-    "Only runs that match, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
+    "Select matching runs, e.g. 'task=reach and agent.learning_rate<1e-3 and not state in (failed, lost)'. "
     "Operators: = != < <= > >= ~ (contains) in. Names: columns, settings of the spec, tags, note, "
     "versions.PACKAGE, measures.NAME."
 )
 POLICY_HELP = (
-    f"{RUN_HELP} Or the name of a policy that ships with karolos: panda_pick, ur5_throw, ...; shipped:panda_pick where"
-    " a run of yours has that name."
+    f"{RUN_HELP} Or a shipped policy: panda_pick, ur5_throw, ... Write shipped:panda_pick if one of your runs has the"
+    " same name."
 )
 
 Runs = Annotated[
@@ -52,7 +52,7 @@ SpecFile = Annotated[
     Path,
     typer.Argument(
         metavar="SPEC",
-        help="A YAML spec, or the name of one that ships: see `karolos spec list`.",
+        help="A YAML file, or the name of a shipped spec: see `karolos spec list`.",
         autocompletion=complete_spec,
     ),
 ]
@@ -60,7 +60,7 @@ Overrides = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[PATH=VALUE]...",
-        help="Settings that replace the spec's, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
+        help="Settings to change, e.g. agent.learning_rate=1e-4 seeds=[0,1].",
         autocompletion=complete_override,
     ),
 ]
@@ -69,15 +69,15 @@ APolicy = Annotated[str, typer.Argument(metavar="RUN", help=POLICY_HELP, autocom
 PolicyOrSpec = Annotated[
     str,
     typer.Argument(
-        metavar="RUN", help=f"{POLICY_HELP} With --expert a SPEC.yaml.", autocompletion=complete_policy_or_spec
+        metavar="RUN", help=f"{POLICY_HELP} With --expert: a SPEC.yaml.", autocompletion=complete_policy_or_spec
     ),
 ]
 Changes = Annotated[
     list[str] | None,
     typer.Argument(
         metavar="[PATH=VALUE]...",
-        help="Settings to change of the run's robot, task, environment, randomization or orchestrator, or parameters "
-        "of the world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert any setting.",
+        help="Settings to change: of robot, task, environment, randomization or orchestrator, and parameters of the "
+        "world, e.g. robot=ur5 task.object_mass=0.3 task.gravity=-5. With --expert: any setting.",
         autocompletion=complete_override,
     ),
 ]
@@ -88,34 +88,34 @@ On = Annotated[
     typer.Option(
         "--on",
         metavar="LAUNCHER",
-        help="Where to run: local, ray, ray://HOST:PORT or slurm. As launcher.name=... launcher.address=...",
+        help="Where to run: local, ray, ray://HOST:PORT or slurm. Short for launcher.name=... launcher.address=...",
     ),
 ]
 Jobs = Annotated[
     int | None,
-    typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1, or all with --on."),
+    typer.Option(min=1, help="Runs at the same time, each in its own process. Default: 1; with --on: all."),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Resume interrupted runs; skip finished seeds.")]
-IfNeeded = Annotated[bool, typer.Option("--if-needed", help="Skip seeds that are finished.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Resume interrupted runs and skip finished seeds.")]
+IfNeeded = Annotated[bool, typer.Option("--if-needed", help="Skip finished seeds.")]
 Json = Annotated[bool, typer.Option("--json", help="Print one JSON object per row.")]
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", help="Show only warnings and failures.")]
 
 
 Checkpoint = Annotated[
     Literal["best", "last"] | None,
-    typer.Option(help="The checkpoint to use. Default: best, or last if the run has no test yet."),
+    typer.Option(help="Checkpoint to use. Default: best; last if the run has no test yet."),
 ]
 TimeLimit = Annotated[
     str | None,
     typer.Option(
         metavar="DURATION",
-        help="Stop after this time with a checkpoint to resume from, e.g. 90s, 30m, 2h. The exit code is then 124.",
+        help="Write a checkpoint and stop after this time, e.g. 90s, 30m, 2h. The exit code is then 124.",
     ),
 ]
 
 
 def with_launcher(overrides: Sequence[str] | None, on: str | None) -> list[str]:
-    """The overrides of a spec with those that --on means."""
+    """The overrides of a spec, with those of --on."""
     if on is None:
         return list(overrides or ())
     name, address, _ = on.partition("://")
@@ -158,7 +158,7 @@ def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
 
 
 def chosen_checkpoint(folder: RunFolder, asked: Literal["best", "last"] | None) -> Literal["best", "last"]:
-    """The checkpoint to use: the one asked for, or `best`; with a message `last` where there is only that one."""
+    """The checkpoint to use: the requested one, or `best`; or, with a message, `last` if it is the only one."""
     from karolos.records.checkpoint import names
     from karolos.records.shipped import is_shipped
 
@@ -196,13 +196,13 @@ def select_runs(
 
 
 def check_file(path: Path) -> None:
-    """Raise UsageError for a file to write whose folder is missing, before the work that it is to hold."""
+    """Raise UsageError if the folder of an output file is missing, before any work is done."""
     if not path.parent.is_dir():
         raise UsageError(f"there is no folder {path.parent}", where=str(path), hint="make it, or name another file")
 
 
 LONGEST = 3650 * 86400.0
-"""Seconds; clocks cannot count much longer durations from now on."""
+"""Longest duration in s. Clocks cannot represent much longer ones."""
 
 
 def seconds(text: str | None, option: str = "--time-limit") -> float | None:

@@ -16,7 +16,7 @@ from .arguments import Runs
 
 def board(
     runs: Runs = Path("runs"),
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 picks a free one.")] = 6006,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine. 0: any free port.")] = 6006,
 ) -> None:
     """Start TensorBoard on the runs folder. Ctrl-C ends it."""
     if not runs.is_dir():

@@ -1,4 +1,4 @@
-"""`karolos check`: whether specs are valid, without running them."""
+"""`karolos check`: checks specs without running them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def check(
         list[str],
         typer.Argument(
             metavar="SPEC... [PATH=VALUE]...",
-            help="YAML specs to check, and settings that replace those of every spec.",
+            help="YAML files to check, and settings to change in each of them.",
             autocompletion=complete_spec,
         ),
     ],
@@ -33,9 +33,9 @@ def check(
 ) -> None:
     """Check specs and suites, and print every problem as file:line:column: key: what is wrong.
 
-    The parts of a valid spec are created once to see whether they fit together, and the environment makes its first
-    steps; so do those of each variant of a transfer and of each spec of a suite. Nothing is trained.
-    Exit code 0: all specs are valid; 2: one is invalid; 3: one names a broken plugin.
+    The parts of a valid spec are built once, and the environment makes its first steps. This shows whether the parts
+    fit together. A transfer is checked with all its variants, a suite with all its specs. Nothing is trained.
+    Exit code 0: all specs are valid; 2: a spec is invalid; 3: a plugin is broken.
     """
     from karolos.specification import load_spec
     from karolos.specification.suite import is_suite, load_suite
@@ -71,7 +71,7 @@ def check(
 
 
 def _check_parts(spec: Spec, runs: Path) -> str | None:
-    """Raise an error for what cannot work; returns a note on what may surprise."""
+    """Raise an error if the spec cannot work; returns a note on possible surprises."""
     from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
 
     note = check_parts(spec)
@@ -87,7 +87,7 @@ def _check_parts(spec: Spec, runs: Path) -> str | None:
 
 
 def _is_override(argument: str) -> bool:
-    """Whether an argument sets something instead of naming a file."""
+    """Whether an argument is a setting and not a file."""
     return "=" in argument and not os.path.exists(argument)  # Path.exists raises for a long text
 
 

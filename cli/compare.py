@@ -1,4 +1,4 @@
-"""`karolos compare` and `karolos diff`: experiments side by side, and what two runs were made from."""
+"""`karolos compare` and `karolos diff`: compare experiments, and the sources of two runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from karolos.store import Store
 
 
-SIDE_HELP = "A run's id or how it begins, @last, a run folder, or a spec file: what a run of it would be made from now."
+SIDE_HELP = (
+    "A run (its id, the beginning of its id, its folder or @last), or a spec file: a run of it as it would be now."
+)
 
 
 def compare(
@@ -32,7 +34,7 @@ def compare(
         list[str],
         typer.Argument(
             metavar="EXPERIMENT...",
-            help=f"{MANY_HELP} Or a policy that ships. The first is the one that the others are measured against.",
+            help=f"{MANY_HELP} Or a shipped policy. The first one is the baseline of the others.",
             autocompletion=complete_policy,
         ),
     ],
@@ -42,8 +44,8 @@ def compare(
     metric: Annotated[
         Literal["any", "end", "return"] | None,
         typer.Option(
-            help="What curves and thresholds show: success at any step of an episode or at its end, or the return. "
-            "Default: end, or return where the environment defines no success."
+            help="What curves and thresholds show: success at any step of an episode, success at its end, or return. "
+            "Default: end; return if the environment defines no success."
         ),
     ] = None,
     at: Annotated[
@@ -51,27 +53,27 @@ def compare(
         typer.Option(
             metavar="STEPS",
             min=1,
-            help="Compare the runs as they were at their tests nearest to this many environment steps, e.g. "
-            "shorter runs with longer ones. Default: at their ends.",
+            help="Compare the tests nearest to this number of environment steps, e.g. if some runs are longer. "
+            "Default: the ends of the runs.",
         ),
     ] = None,
     label: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="Name of an experiment in tables and figures; once for each, in order."),
+        typer.Option(metavar="NAME", help="Name in tables and figures. Give one for each experiment, in order."),
     ] = None,
     out: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE.html|FOLDER",
-            help="What to write: FILE.html, a page with every figure that needs no network; or a folder for the "
-            "figures as SVG, PDF and PNG. May be repeated.",
+            help="Write FILE.html, one page with every figure that works offline, or a folder with the figures as "
+            "SVG, PDF and PNG. May be repeated.",
         ),
     ] = None,
     table: Annotated[
         list[Path] | None,
         typer.Option(
             metavar="FILE.tex|FILE.csv",
-            help="Write the numbers as a LaTeX table (package booktabs), or as CSV with a row for each experiment. "
+            help="Write the numbers as a LaTeX table (package booktabs) or as CSV, one row per experiment. "
             "May be repeated.",
         ),
     ] = None,
@@ -79,8 +81,8 @@ def compare(
         list[str] | None,
         typer.Option(
             metavar="NAME",
-            help="Draw only this figure: steps, time, final, profiles, densities, measures, settings, or the name of a "
-            "file in the folder, such as measure_peak_force. May be repeated.",
+            help="Draw only this figure: steps, time, final, profiles, densities, measures, settings, or a file name "
+            "such as measure_peak_force. May be repeated.",
         ),
     ] = None,
     width: Annotated[float, typer.Option(min=1, max=40, help="Width of a figure in the folder, in inches.")] = 4.8,
@@ -135,7 +137,7 @@ def compare(
 
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:
-    """The runs that a selector means and the index that has them; None for a run that ships, or is not indexed."""
+    """The runs that a selector means and their index; None for a shipped run, or a run that is not indexed."""
     from karolos.records import RunFolder
     from karolos.records.shipped import SHIPPED
     from karolos.store.query import existing, is_run_folder, select, shipped_run
@@ -158,7 +160,7 @@ def _labels(
     """The label of each experiment: as chosen, or that of `labels_of`.
 
     Raises:
-        UsageError: there is not one distinct label for each; or two arguments mean the same run.
+        UsageError: labels are missing or not distinct, or two arguments mean the same run.
     """
     from karolos.comparison.contenders import labels_of
 
@@ -222,7 +224,7 @@ def diff(
 
 
 def _side(selector: str, runs: Path, database: str | None) -> Side:
-    """What an argument means. Raises SpecError for a spec file that is missing."""
+    """The side that an argument means. Raises SpecError if a spec file is missing."""
     from karolos.comparison.differences import of_run, of_spec
     from karolos.store.query import is_spec
 

@@ -1,4 +1,4 @@
-"""What Tab completes: specs, runs, plugins, overrides, sweeps and tags, from the names of files."""
+"""Completion by Tab: specs, runs, plugins, overrides, sweeps and tags, from the names of files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "lau
 
 
 def complete_spec(incomplete: str) -> list[str]:
-    """Specs that ship, and YAML files here and one folder below."""
+    """Shipped specs, and YAML files here and one folder below."""
     shipped = (path.relative_to(SPECS).with_suffix("").as_posix() for path in SPECS.glob("**/*.yaml"))
     start = glob.escape(incomplete)
     files = (name for deep in ("*", "*/*") for end in ("yaml", "yml") for name in glob.glob(f"{start}{deep}.{end}"))
@@ -32,7 +32,7 @@ def complete_run(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_policy(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Runs, and policies that ship."""
+    """Runs and shipped policies."""
     shipped = [path.parent.name for path in PACKAGE.glob("records/shipped_runs/*/policy.npz")]
     return sorted({*complete_run(ctx, incomplete), *_beginning(incomplete, shipped)})
 
@@ -56,7 +56,7 @@ def complete_tag(ctx: typer.Context, incomplete: str) -> list[str]:
 
 
 def complete_override(ctx: typer.Context, incomplete: str) -> list[str]:
-    """Parts of a spec with the plugins that can take their places. bash gives `agent=s` as three words."""
+    """Parts of a spec with the plugins for them. bash gives `agent=s` as three words."""
     before = [word for word in ctx.params.get("overrides") or () if word != "="]
     if before and before[-1] in PARTS:
         return complete_plugin(f"{before[-1]}s")(incomplete)
@@ -75,7 +75,7 @@ def complete_plugin(kind: str) -> Callable[[str], list[str]]:
 
 
 def complete_plugin_of_kind(ctx: typer.Context, incomplete: str) -> list[str]:
-    """The plugins of the kind that is typed before."""
+    """The plugins of the kind in the argument before."""
     kind = f"{str(ctx.params.get('kind')).removesuffix('s')}s"
     return complete_plugin(kind)(incomplete) if kind.removesuffix("s") in complete_kind("") else []
 

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from karolos.specification.parts import Recipe
 
 UNFINISHED = ".recording"
-"""Folder in --out that holds the episodes until the dataset is written, so that the same command goes on."""
+"""Folder in --out that holds the episodes until the dataset is written, so that the same command can continue."""
 
 
 def dataset(
@@ -28,24 +28,21 @@ def dataset(
     overrides: Changes = None,
     out: Annotated[Path, typer.Option("--out", metavar="FOLDER", help="Folder to write.")] = Path("dataset"),
     episodes: Annotated[int, typer.Option(min=1, help="Episodes in the dataset.")] = 100,
-    expert: Annotated[bool, typer.Option("--expert", help="Record the expert of a spec's task instead.")] = False,
+    expert: Annotated[bool, typer.Option("--expert", help="Record the scripted expert of a spec's task.")] = False,
     format: Annotated[
         Literal["lerobot", "minari", "karolos"],
-        typer.Option(help="lerobot: a LeRobotDataset v3; minari; karolos: one .npz per episode."),
+        typer.Option(help="lerobot: LeRobotDataset v3. minari: Minari dataset. karolos: one .npz per episode."),
     ] = "lerobot",
-    only: Annotated[
-        Literal["success"] | None, typer.Option(help="Leave out episodes that do not end with success.")
-    ] = None,
+    only: Annotated[Literal["success"] | None, typer.Option(help="Keep only episodes that end with success.")] = None,
     noise: Annotated[
         float, typer.Option(min=0, max=10, help="Standard deviation of Gaussian noise on the actions.")
     ] = 0.0,
-    random: Annotated[float, typer.Option(min=0, max=1, help="Probability of a random action instead.")] = 0.0,
-    randomize: Annotated[
-        bool, typer.Option("--randomize", help="Draw the spec's randomization in each episode, as training does.")
-    ] = False,
-    seed: Annotated[int, typer.Option(min=0, help="Root of the seeds of the episodes.")] = 0,
+    random: Annotated[float, typer.Option(min=0, max=1, help="Probability that an action is random.")] = 0.0,
+    randomize: Annotated[bool, typer.Option("--randomize", help="Randomize each episode as in training.")] = False,
+    seed: Annotated[int, typer.Option(min=0, help="Root of the episodes' seeds.")] = 0,
     camera: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="Film each episode, for lerobot: front or wrist.")
+        list[str] | None,
+        typer.Option(metavar="NAME", help="Film each episode with this camera: front or wrist. Only for lerobot."),
     ] = None,
     size: Annotated[int, typer.Option(min=16, max=2048, help="Width and height of a picture in pixels.")] = 224,
     checkpoint: Checkpoint = None,
@@ -53,10 +50,10 @@ def dataset(
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Record episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
+    """Record episodes of a run's policy, of a shipped policy, or with --expert of a spec's scripted expert.
 
-    Episodes are played in the processes and environments of the spec's orchestrator. The same command goes on where it
-    was interrupted. An episode's seeds and noise depend on its number alone.
+    Episodes are played in the processes and environments of the spec's orchestrator. The same command continues an
+    interrupted recording. An episode's seeds and noise depend only on its number.
     """
     from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note
@@ -84,11 +81,11 @@ def dataset(
         saved = load_agent(folder, name)
         spec = changed_spec(saved.spec, overrides or (), trained=saved.signature, randomize=randomize)
         act, policy = saved.policy().act, f"{folder.id}, checkpoint {name}"
-        recipe = spec.recipe(randomize=True)  # what it draws is left in the spec
+        recipe = spec.recipe(randomize=True)  # its distributions stay in the spec
         if note := engine_note(saved.spec, spec):
             warn(note)
     if camera and (format != "lerobot" or size % 2):
-        raise UsageError("--camera films for --format lerobot, in pictures of an even size")
+        raise UsageError("--camera needs --format lerobot and an even --size")
     if format != "karolos":
         from karolos.recordings.source import require
 
@@ -132,7 +129,7 @@ def dataset(
 
 
 def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> dict[str, Any]:
-    """What the numbers mean and where they come from. Only the number of episodes may change when it goes on."""
+    """Meaning and origin of the numbers. Only the number of episodes may change when the recording continues."""
     from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
@@ -164,12 +161,12 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
 
 
 def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:
-    """Raise UsageError unless the folder holds the beginning of this very dataset."""
+    """Raise UsageError unless the folder holds the beginning of the same dataset."""
     from json import dumps, loads
 
     before = recording.about()
     if before is None:
-        raise UsageError("there is something already", where=str(out), hint="name another folder with --out")
+        raise UsageError("the folder is not empty", where=str(out), hint="name another folder with --out")
     before.pop("outcome", None)
     now = loads(dumps(about))
     changed = sorted(key for key in {*before, *now} - {"episodes"} if before.get(key) != now.get(key))

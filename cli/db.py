@@ -1,4 +1,4 @@
-"""`karolos db`: the results database, and whether it agrees with the run folders."""
+"""`karolos db`: rebuilds, checks and upgrades the results database."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ app = typer.Typer(name="db", help="Rebuild, check and upgrade the results databa
 
 @app.command()
 def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are entered."""
+    """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are still read."""
     from karolos.store import Store
 
     if not runs.is_dir():
@@ -57,7 +57,7 @@ def check(runs: Runs = Path("runs"), database: Database = None, json: Json = Fal
 
 @app.command()
 def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Renew the database of an older karolos: its tables are replaced, and the runs are entered from their folders."""
+    """Upgrade the database of an older karolos: replace its tables and read the runs from their folders again."""
     from karolos.store import Store
 
     with Store(_existing(runs, database), upgrade=True) as store:

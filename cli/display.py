@@ -1,4 +1,4 @@
-"""What a person sees while runs and sweeps go on, always on stderr: live bars on a terminal, plain lines elsewhere."""
+"""Progress of runs and sweeps for a person, always on stderr: live bars on a terminal, plain lines elsewhere."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
 
 SWEEP_SPEED_SECONDS = 600.0
-"""Seconds over which the speed of a sweep is averaged for the time left."""
+"""Seconds over which the speed of a sweep is averaged, to estimate the time left."""
 PLAIN_SECONDS = 5.0
-"""Time after which a run has another line where there is no terminal."""
+"""Time between two lines of a run without a terminal."""
 SPEED_WINDOW = 50
-"""Events over which speeds are averaged: about five seconds."""
+"""Number of events over which speeds are averaged: about five seconds."""
 
 
 class Quiet(AbstractContextManager[Any]):
-    """Shows only warnings and failures, as lines on stderr or another stream, above the bars if there are any."""
+    """Shows only warnings and failures, as lines on stderr or another stream, above any bars."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         self._console = Console(file=stream or sys.stderr, stderr=stream is None, highlight=False, markup=False)
@@ -68,16 +68,16 @@ class Quiet(AbstractContextManager[Any]):
 
 
 class Plain(Quiet):
-    """Shows one line per start of a run, test and end of a run, and how far it is meanwhile: for logs and pipes."""
+    """Shows one line per start, test and end of a run, and its progress: for logs and pipes."""
 
     def __init__(self, stream: TextIO | None = None) -> None:
         super().__init__(stream)
         self._points: dict[str, list[RunAdvanced]] = {}
-        """Run -> where training was at the line before, and where it is."""
+        """Run -> progress of training at the last line, and now."""
         self._steps: dict[str, int] = {}
-        """Run -> steps that are asked for."""
+        """Run -> requested steps."""
         self._said: dict[str, float] = {}
-        """When each run had a line."""
+        """Time of each run's last line."""
 
     def __call__(self, event: Any) -> None:
         super().__call__(event)
@@ -101,7 +101,7 @@ class Plain(Quiet):
             self._said[event.run] = time.monotonic()
 
     def _progress(self, event: RunAdvanced | RunBusy) -> str:
-        """How far a run is, how fast, and what it does while it does not train."""
+        """Progress and speed of a run, and its activity while it does not train."""
         points = self._points.get(event.run, [])
         steps, seconds = (points[-1].steps, points[-1].seconds) if points else (0, 0.0)
         doing = _activity(event) if isinstance(event, RunBusy) else _speed(points)
@@ -164,14 +164,14 @@ def _speed(points: Sequence[RunAdvanced]) -> str:
 
 
 def _activity(event: RunBusy) -> str:
-    """What a run does instead of training, and how far it is; empty when it is done."""
+    """Activity of a run other than training, with its progress; empty when it is done."""
     if event.done == event.total:
         return ""
     return event.activity if event.total == 1 else f"{event.activity} {event.done}/{event.total}"
 
 
 def _named(what: str, numbers: Sequence[int]) -> str:
-    """trial 0, or seeds 3, 4."""
+    """ "trial 0", or "seeds 3, 4"."""
     return f"{what}{'s' if len(numbers) > 1 else ''} {', '.join(map(str, numbers))}"
 
 
@@ -185,7 +185,7 @@ def choose_display(*, quiet: bool) -> Quiet:
 class SweepDisplay(Quiet):
     """Shows one line per trial, and on a terminal a bar: trials, the best so far, the time left.
 
-    Elsewhere a trial's start has a line as well.
+    Without a terminal a trial's start also has a line.
     """
 
     def __init__(self, objectives: tuple[str, ...], stream: TextIO | None = None) -> None:

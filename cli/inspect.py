@@ -63,7 +63,7 @@ def task(
     name: Annotated[str, typer.Argument(metavar="NAME", autocompletion=complete_plugin("tasks"))],
     robot: Annotated[
         str,
-        typer.Option(metavar="NAME", help="Robot to show the task with.", autocompletion=complete_plugin("robots")),
+        typer.Option(metavar="NAME", help="Robot that shows the task.", autocompletion=complete_plugin("robots")),
     ] = "panda",
     out: Out = None,
     width: Size = 960,
@@ -81,7 +81,7 @@ def _target(picture: Path | None, name: str) -> Path:
     target = picture or Path(f"{name}.png")
     if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
         hint = "name a file that ends in .png or .jpg"
-        raise UsageError(f"{target.name} has no file extension of a picture", hint=hint)
+        raise UsageError(f"{target.name} does not end like a picture's name", hint=hint)
     if not target.parent.is_dir():
         raise UsageError(f"there is no folder {target.parent} to write a picture into")
     return target

@@ -1,4 +1,4 @@
-"""The `karolos` command: its subcommands, and how errors end it."""
+"""The `karolos` command: its subcommands, and its exit after errors."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from .run import resume, run
 from .ui import ui
 
 OBJECTS_PER_COLLECTION = 50_000
-"""New objects before Python looks for garbage. With Python's default a short command spends an eighth of its time on
-looking through the objects that imports make."""
+"""Number of new objects before Python collects garbage. With Python's default a short command spends an eighth of its
+time on objects that imports make."""
 
 
 class Commands(TyperGroup):
-    """Commands whose help says what each option takes, and that say that they are interrupted or called wrongly."""
+    """Commands whose help shows the values of each option. Interruptions and wrong calls are reported in one line."""
 
     def get_command(self, ctx: Any, cmd_name: str) -> Any:
         command = super().get_command(ctx, cmd_name)
@@ -62,7 +62,7 @@ class Commands(TyperGroup):
 app = typer.Typer(
     name="karolos",
     cls=Commands,
-    help="Declarative reinforcement-learning experiments on robot-task environments.",
+    help="Run reinforcement-learning experiments on robots and tasks from YAML specs.",
     no_args_is_help=True,
     rich_markup_mode="markdown",
     pretty_exceptions_enable=False,
@@ -126,7 +126,7 @@ def main() -> None:
         sys.exit(MachineError.exit_code)
     except KarolosError as error:
         if isinstance(error, PluginError) and error.__cause__ is not None:
-            traceback.print_exception(error.__cause__)  # shows the author of the plugin where it failed
+            traceback.print_exception(error.__cause__)  # shows the plugin's author the place of the failure
         for line in str(error).splitlines():
             say(line)
         sys.exit(error.exit_code)

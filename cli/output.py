@@ -1,4 +1,4 @@
-"""How commands print: rows as JSON or a table on stdout, and lines for a person on stderr."""
+"""Output of commands: rows as JSON or a table on stdout, and lines for a person on stderr."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import Trial
 
 WIDEST = 10_000
-"""A width in which every table fits."""
+"""A width that is enough for every table."""
 _STATE_STYLES = {
     "finished": "green",
     "running": "cyan",
@@ -67,7 +67,7 @@ def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "")
 def print_report(
     rows: Iterable[Mapping[str, Any]], tables: Iterable[Table], notes: Iterable[str], *, quiet: bool, json: bool
 ) -> None:
-    """Print a report as JSON rows, or as tables with what their numbers mean."""
+    """Print a report as JSON rows, or as tables with the meaning of their numbers."""
     if json:
         print_rows(rows, json=True)
     elif not quiet:
@@ -78,14 +78,14 @@ def print_report(
 
 
 def check_folder(path: Path, allowed: str) -> None:
-    """Raise UsageError for a folder of figures, as of --out, whose name is that of a file, unless it is there."""
+    """Raise UsageError if the name of a folder for figures (--out) looks like a file, unless the folder exists."""
     if path.suffix and not path.is_dir():
         hint = f"name {allowed}; a folder with a dot in its name has to be there"
         raise UsageError(f"cannot write figures into {path.name!r}", where="--out", hint=hint)
 
 
 def print_table(table: Table) -> None:
-    """Print a table: coloured and folded at the width of a terminal; in a pipe one line per row with whole cells."""
+    """Print a table: on a terminal coloured and folded to its width, in a pipe one line per row with whole cells."""
     if sys.stdout.isatty():
         _print_in_terminal(table)
         return
@@ -99,7 +99,7 @@ def print_table(table: Table) -> None:
 
 
 def _print_in_terminal(table: Table) -> None:
-    """Print a table. One that is too wide has folded headings, and no optional columns if that is not enough."""
+    """Print a table. If it is too wide, headings are folded; if that is not enough, optional columns are left out."""
     from rich.console import Console
 
     console, left_out = Console(), []
@@ -159,7 +159,7 @@ def drawn_text(trial: Trial) -> str:
 
 
 def short_text(value: object, digits: int = 4) -> str:
-    """A value with few significant digits, or several with spaces between; nothing for None."""
+    """A value with few significant digits, or several separated by spaces; empty for None."""
     if isinstance(value, list | tuple):
         return " ".join(map(str, value))
     return f"{value:.{digits}g}" if isinstance(value, float) else "" if value is None else str(value)

@@ -1,4 +1,4 @@
-"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are made and reported together."""
+"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are executed and reported together."""
 
 from __future__ import annotations
 
@@ -36,11 +36,11 @@ if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord, Trial
 
 SAMPLES = 5
-"""Most sampled specs that --dry-run prints."""
+"""Largest number of sampled specs that --dry-run prints."""
 
 
 def _run(plan: Plan, shown: AbstractContextManager[Any], runs: Path, time_limit: str | None, **how: Any) -> Outcome:
-    """Run what is missing of a plan. After a stop a line says how to continue, and a suite or a matrix ends here."""
+    """Run the missing runs of a plan. After a stop a line says how to continue, and a suite or a matrix ends here."""
     longest = seconds(time_limit)
     with shown as listener:
         outcome = plan.run(runs, listener=listener, time_limit=longest, **how)
@@ -56,18 +56,20 @@ def sweep(
     overrides: Overrides = None,
     runs: Runs = Path("runs"),
     database: Database = None,
-    trials: Annotated[int | None, typer.Option(min=1, help="Trials in total, instead of the spec's number.")] = None,
-    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed of each is a process.")] = 1,
+    trials: Annotated[
+        int | None, typer.Option(min=1, help="Number of trials in total. Default: as in the spec.")
+    ] = None,
+    jobs: Annotated[int, typer.Option(min=1, help="Trials at the same time. Each seed is a process.")] = 1,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Check the search and print its first trials.")] = False,
     on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Search the settings that SPEC's sweep names, and write the best as a spec.
+    """Search the settings that SPEC's sweep names, and write the best ones as a spec.
 
-    Each trial is the spec with other values, run on the sweep's seeds as ordinary runs. The same command resumes a
-    sweep that was interrupted. The sweep's folder is sweeps/NAME in the runs folder; best.yaml is in it.
+    Each trial is the spec with other values. Its runs, one per seed of the sweep, are ordinary runs. The same command
+    resumes an interrupted sweep. The sweep's folder is sweeps/NAME in the runs folder. It holds best.yaml.
     """
     from karolos.specification import load_spec
 
@@ -102,8 +104,8 @@ def report_sweep(sweep: SweepRecord, front: Sequence[Trial], *, quiet: bool, jso
 def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
     """A trial as a row: state, objectives, settings, error, runs.
 
-    After the final choice there are two more columns per objective: on the fresh seeds that the choice was made on, and
-    on the unused seeds that only the chosen trial was run on.
+    After the final choice there are two more columns per objective: on the new seeds of the choice, and on the
+    reporting seeds, on which only the chosen trial was run.
     """
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
     final = sweep.final
@@ -114,7 +116,7 @@ def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
             row[f"{name}_fresh"] = fresh[place] if fresh else None
             unused = final.reported if trial.number == final.chosen else None
             row[f"{name}_unused"] = unused[place] if unused else None
-    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None for a setting that the trial did not draw
+    settings = {key: trial.drawn.get(key) for key in sweep.parameters}  # None: not sampled by the trial
     return {**row, **settings, "error": trial.error, "runs": list(trial.runs)}
 
 
@@ -133,7 +135,7 @@ def print_trials(sweep: SweepRecord) -> None:
 
 
 def report_best(sweep: SweepRecord) -> None:
-    """Print the best trial on stderr: its settings, how good it is on which seeds, and how to run it."""
+    """Print the best trial on stderr: its settings, its results by seeds, and the command to run it."""
     best, final, path = sweep.best, sweep.final, Path(sweep.folder) / "best.yaml"
     if best is None:
         say("no trial is complete yet")
@@ -142,11 +144,11 @@ def report_best(sweep: SweepRecord) -> None:
     if final is not None:
         for place, name in enumerate(sweep.objectives):
             tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
-            line = f"{name}: {tuned:.4g} on the seeds it was tuned on, {fresh:.4g} on {len(final.seeds)} fresh seeds "
-            line += "that it was chosen by"
+            line = f"{name}: {tuned:.4g} on the seeds of tuning, {fresh:.4g} on {len(final.seeds)} new seeds "
+            line += "of the choice"
             if final.reported is not None:
                 unused = final.reported[place]
-                line += f", {unused:.4g} on {len(final.report_seeds)} used for nothing else: gap {tuned - unused:+.4g}"
+                line += f", {unused:.4g} on {len(final.report_seeds)} held-out seeds: gap {tuned - unused:+.4g}"
             say(line)
     if path.is_file():
         say(f"`karolos run {path}` runs it; figures in {path.parent}")
@@ -181,7 +183,9 @@ def suite(
     file: Annotated[
         Path,
         typer.Argument(
-            metavar="SUITE", help="A YAML file that names specs, or one that ships.", autocompletion=complete_spec
+            metavar="SUITE",
+            help="A YAML file that lists specs, or the name of a shipped suite.",
+            autocompletion=complete_spec,
         ),
     ],
     overrides: Overrides = None,
@@ -194,15 +198,15 @@ def suite(
         str | None,
         typer.Option(
             metavar="DURATION",
-            help="Run one seed of each spec within this time, e.g. 2h. The specs share it by their steps; a run that "
-            "does not fit is cut and reported as it is.",
+            help="Run one seed of each spec within this time, e.g. 2h. Specs share the time by their steps. A run "
+            "that exceeds its share is stopped and reported as it is.",
         ),
     ] = None,
     beside: Annotated[
         str | None,
         typer.Option(
             metavar="FOLDER",
-            help="Compare with the runs in this folder that have the specs' names; `shipped`: with those that ship.",
+            help="Compare with the runs of the same names in this folder. `shipped`: with the shipped policies.",
         ),
     ] = None,
     on: On = None,
@@ -212,9 +216,9 @@ def suite(
 ) -> None:
     """Train every spec that SUITE names, and report them as a table of tasks and robots.
 
-    PATH=VALUE holds for every spec: agent=mine trains the table with another agent, without the settings that it has no
-    use for; they are said, and so is what cannot run. The runs are ordinary runs with
-    the specs' names. The page is suites/NAME/report.html in the runs folder; with overrides NAME has them at its end.
+    PATH=VALUE changes every spec: agent=mine trains the table with another agent. Settings that the agent does not
+    know are left out and listed, and so are specs that cannot run. The runs are ordinary runs with the specs' names.
+    The page is suites/NAME/report.html in the runs folder. NAME ends with the overrides, if there are any.
     """
     from karolos.specification.suite import load_suite
 
@@ -261,21 +265,19 @@ def transfer(
     runs: Runs = Path("runs"),
     database: Database = None,
     jobs: Jobs = None,
-    resume: Annotated[
-        bool, typer.Option("--resume", help="Continue a matrix that has begun; nothing is run twice.")
-    ] = False,
+    resume: Annotated[bool, typer.Option("--resume", help="Continue a matrix. No run is repeated.")] = False,
     out: Annotated[
         Path | None,
-        typer.Option(metavar="FOLDER", help="Also write every figure as SVG, PDF and PNG into this folder."),
+        typer.Option(metavar="FOLDER", help="Also write all figures to this folder, as SVG, PDF and PNG."),
     ] = None,
     on: On = None,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
     json: Json = False,
 ) -> None:
-    """Train on every variant of SPEC's transfer, test the policies on the others, and fine-tune them there.
+    """Train on every variant of SPEC's transfer, then test and fine-tune each policy on the other variants.
 
-    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves,
+    Prints a matrix of sources and targets for each metric, and writes a page with heat maps and learning curves:
     transfers/NAME/report.html in the runs folder. The runs are ordinary runs: NAME-SOURCE, NAME-SOURCE-to-TARGET.
     """
     from karolos.specification import load_spec
@@ -297,9 +299,10 @@ def transfer(
     for warning in report.warnings:
         warn(warning)
     tables = [*(reports.matrix_table(report, name) for name in report.metrics), reports.variants_table(report)]
+    tables[:0] = reports.over_targets(report)
     print_report(report.rows(), tables, reports.notes(report), quiet=quiet, json=json)
     maps, curves = reports.transfer_figures(report)
-    path = matrix.write_page(reports.matrix_page(report, maps, curves))
+    path = matrix.write_page(reports.matrix_page(report, maps, curves, reports.pictures(matrix, report)))
     if out is not None:
         write_figures([*maps, *curves], out)
     if not quiet:

@@ -1,4 +1,4 @@
-"""`karolos plugins`: what is installed, its settings, and a package to start a plugin from."""
+"""`karolos plugins`: installed plugins, their settings, and starter packages."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 app = typer.Typer(
     name="plugins",
-    help="List, show and check robots, grippers, tasks, agents and others; start a new one.",
+    help="List, show, check and create plugins: robots, grippers, tasks, agents and others.",
     no_args_is_help=True,
 )
 Kind = Annotated[
@@ -101,22 +101,20 @@ def new(
     ],
     name: Annotated[str, typer.Argument(metavar="NAME", help="Its name in specs, e.g. my_arm.")],
     out: Annotated[Path | None, typer.Option(metavar="FOLDER", help="Folder to write. Default: karolos-NAME.")] = None,
-    urdf: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="A URDF: write the robot or the gripper that it describes.")
-    ] = None,
+    urdf: Annotated[Path | None, typer.Option(metavar="FILE", help="URDF of the robot or gripper to write.")] = None,
     tool: Annotated[
-        str | None, typer.Option(metavar="LINK", help="The link of the URDF that is the tool frame, z forwards.")
+        str | None, typer.Option(metavar="LINK", help="Link of the URDF that is the tool frame, with z forwards.")
     ] = None,
     gripper: Annotated[
         str | None,
         typer.Option(
             metavar="NAME",
-            help="What a robot carries in place of the hand in its URDF.",
+            help="Gripper that replaces the hand in a robot's URDF.",
             autocompletion=complete_plugin("grippers"),
         ),
     ] = None,
 ) -> None:
-    """Write a package with a working, tested plugin to start from. Prints its files, and what was assumed of a URDF."""
+    """Write a package with a working, tested plugin. Prints its files, and the assumptions about a URDF."""
     from karolos.plugins.starter import write_starter
 
     folder = out or Path(f"karolos-{name.replace('_', '-')}")
@@ -132,7 +130,7 @@ def check(
     kind: Kind,
     name: Name,
     settings: Annotated[
-        list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings other than the defaults.")
+        list[str] | None, typer.Argument(metavar="[SETTING=VALUE]...", help="Settings that differ from the defaults.")
     ] = None,
     engine: Annotated[
         Literal["mujoco", "bullet"] | None,
@@ -140,7 +138,7 @@ def check(
     ] = None,
     json: Json = False,
 ) -> None:
-    """Check what plugins of this kind promise, as karolos's own tests do. Exit code 3 if a promise is broken.
+    """Check a plugin's contract, as karolos's own tests do. Exit code 3 if the plugin breaks a promise.
 
     A robot is checked with every installed task, a task with every installed robot, and a gripper on every arm that
     has a flange. This takes a minute.

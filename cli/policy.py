@@ -1,4 +1,4 @@
-"""`karolos play`, `karolos test` and `karolos export`: what is done with a saved policy."""
+"""`karolos play`, `karolos test` and `karolos export`: use a saved policy."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ if TYPE_CHECKING:
 def play(
     run: PolicyOrSpec,
     overrides: Changes = None,
-    expert: Annotated[bool, typer.Option("--expert", help="Play the expert of a spec's task instead.")] = False,
+    expert: Annotated[bool, typer.Option("--expert", help="Play the scripted expert of a spec's task.")] = False,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Film to write: FILE.mp4 or FILE.gif.")] = None,
     episodes: Annotated[
-        int | None, typer.Option(min=1, help="Episodes to play. Default: 1 for a film, 5 in a window.")
+        int | None, typer.Option(min=1, help="Number of episodes. Default: 1 in a film, 5 in a window.")
     ] = None,
     failures: Annotated[
-        bool, typer.Option("--failures", help="Only episodes that fail: the first ones of 1,000.")
+        bool, typer.Option("--failures", help="Show only failures: the first ones in 1,000 episodes.")
     ] = False,
     checkpoint: Checkpoint = None,
     width: Annotated[int, typer.Option(min=16, max=4096, help="Width of the film in pixels.")] = 640,
@@ -49,12 +49,11 @@ def play(
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
-    """Play test episodes of a run's saved policy, of one that ships, or with --expert of the scripted one for a spec.
+    """Play test episodes of a run's policy, of a shipped policy, or with --expert of a spec's scripted expert.
 
-    Opens a window if there is a display and the physics engine has one: environment.engine=bullet. Otherwise, or with
-    --out, writes a film. Default: play.mp4 in the run's folder, or NAME.mp4 in the current folder for a spec or a
-    policy that ships. A run of your own with the name of a policy that ships is played instead of it; shipped:NAME
-    plays that one.
+    Writes a film: play.mp4 in the run's folder; NAME.mp4 in the current folder for a spec or a shipped policy. With
+    environment.engine=bullet, a display and no --out it opens a window. If a run of yours and a shipped policy have
+    the same NAME, NAME plays the run and shipped:NAME the shipped policy.
     """
     if width % 2 or height % 2:
         raise UsageError(f"a film of {width} x {height} pixels cannot be encoded", hint="use even numbers")
@@ -119,7 +118,7 @@ def play(
 
 
 def _modules(folder: RunFolder) -> list[str]:
-    """The modules that the run's spec makes karolos import: of plugins that are not karolos's, and of gymnasium ids."""
+    """The foreign modules that the run's spec makes karolos import: of plugins and of gymnasium ids."""
     from karolos.records.run_records import part_name
     from karolos.registry import entries
     from karolos.specification.tree import PARTS
@@ -158,12 +157,14 @@ def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:
 def zero_shot(
     run: PolicyOrSpec,
     overrides: Changes = None,
-    episodes: Annotated[int | None, typer.Option(min=1, help="Episodes. Default: as in the run's final test.")] = None,
+    episodes: Annotated[
+        int | None, typer.Option(min=1, help="Number of episodes. Default: as in the final test.")
+    ] = None,
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: that of the run's final test.")
+        int | None, typer.Option(min=0, help="Root of the episodes' seeds. Default: as in the final test.")
     ] = None,
     checkpoint: Checkpoint = None,
-    expert: Annotated[bool, typer.Option("--expert", help="Test the expert of a spec's task instead.")] = False,
+    expert: Annotated[bool, typer.Option("--expert", help="Test the scripted expert of a spec's task.")] = False,
     randomize: Annotated[bool, typer.Option("--randomize", help="Randomize as in training.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -173,7 +174,8 @@ def zero_shot(
 
     The same policy's success on the same episodes without the changes is printed beside it. By default these are the
     episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
-    (transfers.jsonl), and `karolos runs show` shows it. With --expert the scripted policy of a spec's task is tested.
+    (transfers.jsonl; of a policy that ships: shipped/NAME in the runs folder), and `karolos runs show` shows it. With
+    --expert the scripted policy of a spec's task is tested.
     """
     if expert:
         if randomize or checkpoint:
@@ -182,7 +184,8 @@ def zero_shot(
         _score_expert(Path(run), overrides or (), episodes, seed, json=json)
         return
     folder = open_run(run, runs, database)
-    from karolos.evaluation.zero_shot import zero_shot_test
+    from karolos.evaluation.zero_shot import keep, zero_shot_test
+    from karolos.records.shipped import is_shipped
     from karolos.report.tables import measures_table, transfers_table
 
     done = zero_shot_test(
@@ -194,18 +197,20 @@ def zero_shot(
         randomize=randomize,
         on_warning=warn,
     )
+    if is_shipped(folder):
+        keep(folder, done, runs)
     if json:
         print_rows([{"run": folder.id, **done.changed_row()}], json=True)
         return
     print_table(transfers_table([done], title=folder.id))
     if done.measures:
         print_table(measures_table(done.measures, "measures"))
-    unused = "" if seed is not None else ", on which no policy was chosen"
+    unused = "" if seed is not None else ", held out from training and choice"
     say(f"{done.episodes} episodes from seed {done.seed}{unused}")
 
 
 def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, seed: int | None, *, json: bool) -> None:
-    """Print the success of the expert of a spec's task on the episodes of its final test, or on those asked for."""
+    """Print the success of the expert of a spec's task in the episodes of its final test, or in the requested ones."""
     from karolos.evaluation.playing import FirstSuccesses, evaluate_alone
     from karolos.evaluation.policies import expert_policy
     from karolos.report.tables import heading
@@ -236,17 +241,17 @@ def export(
         typer.Option(
             "--out",
             metavar="FOLDER",
-            help="Folder to write. Default: export in the run's folder, or NAME of a policy that ships.",
+            help="Folder to write. Default: export in the run's folder; ./NAME for a shipped policy.",
         ),
     ] = None,
     checkpoint: Checkpoint = None,
     onnx: Annotated[
         bool | None,
-        typer.Option("--onnx/--no-onnx", help="Write policy.onnx too. Default: if the package onnx is installed."),
+        typer.Option("--onnx/--no-onnx", help="Also write policy.onnx. Default: yes if the package onnx is installed."),
     ] = None,
-    card: Annotated[bool, typer.Option("--card", help="Write README.md for the Hugging Face hub, too.")] = False,
+    card: Annotated[bool, typer.Option("--card", help="Also write README.md for the Hugging Face hub.")] = False,
     bundle: Annotated[
-        bool, typer.Option("--bundle", help="Write everything that a robot's computer needs, for karolos-deploy.")
+        bool, typer.Option("--bundle", help="Write everything that karolos-deploy needs on a robot's computer.")
     ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -254,8 +259,8 @@ def export(
 ) -> None:
     """Write a run's policy for use without karolos: as an ONNX model, and as arrays for numpy.
 
-    The files include the normalisation of inputs. The inputs are observation and desired_goal. The output is an action
-    in [-1, 1], or the index of a discrete action. policy.json says what each number means.
+    The inputs are observation and desired_goal; the files normalise them. The output is an action in [-1, 1], or the
+    index of a discrete action. policy.json says what each number means.
     """
     folder = open_run(run, runs, database)
     from karolos.records.shipped import is_shipped

@@ -1,27 +1,28 @@
-"""`karolos robot`: an arm from a file, and how good policies are on it that never saw it."""
+"""`karolos robot`: checks an arm's file, and scores the arm with policies that never saw it."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
+from json import dumps
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from karolos.errors import KarolosError, PluginError
+from karolos.errors import KarolosError, NoSuchRunError, PluginError, UsageError
 
-from .arguments import Json
+from .arguments import Database, Json, Runs, open_run
 from .completion import complete_plugin
 from .inspect import save_picture
 from .output import print_line, print_rows, print_table, say
 
 app = typer.Typer(
-    name="robot", help="Check an arm from a URDF, and score it with the policies that ship.", no_args_is_help=True
+    name="robot", help="Check an arm's URDF, and score the arm with the shipped policies.", no_args_is_help=True
 )
 Gripper = Annotated[
     str,
     typer.Option(
-        metavar="NAME", help="What it carries; own: its own hand.", autocompletion=complete_plugin("grippers")
+        metavar="NAME", help="Gripper. own: the hand in the URDF.", autocompletion=complete_plugin("grippers")
     ),
 ]
 
@@ -32,27 +33,25 @@ def check(
     gripper: Annotated[
         str | None,
         typer.Option(
-            metavar="NAME", help="What it carries. Default: its own hand.", autocompletion=complete_plugin("grippers")
+            metavar="NAME", help="Gripper. Default: the hand in the URDF.", autocompletion=complete_plugin("grippers")
         ),
     ] = None,
-    tool: Annotated[str | None, typer.Option(metavar="LINK", help="The link of the tool frame, z forwards.")] = None,
+    tool: Annotated[str | None, typer.Option(metavar="LINK", help="Link of the tool frame, with z forwards.")] = None,
     flange: Annotated[
-        str | None, typer.Option(metavar="LINK", help="The link that carries a gripper, z away from the arm.")
+        str | None, typer.Option(metavar="LINK", help="Link that carries the gripper, with z away from the arm.")
     ] = None,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Of the whole arm, as the data sheet says.")
+        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the whole arm by its data sheet.")
     ] = None,
-    repair: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Write a copy in which arithmetic repairs what it can.")
-    ] = None,
-    promises: Annotated[bool, typer.Option(help="Check what every robot promises.")] = True,
+    repair: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a repaired copy of the file.")] = None,
+    promises: Annotated[bool, typer.Option(help="Also check the contract of robots.")] = True,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Picture to write: FILE.png.")] = None,
     json: Json = False,
 ) -> None:
-    """Check an arm's file: all that is wrong with it, what is assumed and doubted, and what promises it breaks.
+    """Check an arm's URDF: its errors, the assumptions and doubts of karolos, and the promises that the arm breaks.
 
-    Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair a copy has masses from
-    convex hulls, torques from gravity, meshes that are found elsewhere, and says each change.
+    Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair karolos writes a copy:
+    masses from convex hulls, torques from gravity, meshes found elsewhere. The copy lists each change.
     """
     from karolos.plugins.robot_check import check_file
 
@@ -85,39 +84,57 @@ def check(
 @app.command()
 def score(
     robots: Annotated[
-        list[str],
+        list[str] | None,
         typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
-    ],
+    ] = None,
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
-        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or one: ur5_pick.")
+        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or a run: ur5_pick, @last.")
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Of the arm, where its file has to be repaired.")
+        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the arm, used if its file needs repair.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder of the page and its films. Default: ./NAME-score.")
+        Path | None, typer.Option(metavar="FOLDER", help="Folder for page and films. Default: ./NAME-score.")
     ] = None,
+    listed: Annotated[bool, typer.Option("--list", help="Show the scores so far, of all robots or of these.")] = False,
+    runs: Runs = Path("runs"),
+    database: Database = None,
     json: Json = False,
 ) -> None:
-    """Play the policies that ship on a robot that they never saw: success, and why the other episodes fail.
+    """Play the shipped policies on a robot that they never saw: success, and the causes of failures.
 
     Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
-    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all.
+    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all. Results
+    are kept as those of `karolos test`.
     """
     from karolos.files import write_json, writing
     from karolos.plugins.robot_score import (
         arms_table,
+        kept_scores,
+        kept_table,
         policies_of,
         refused,
         score_robot,
         scores_table,
         write_score_page,
     )
-    from karolos.records.shipped import shipped_names
+    from karolos.registry import names
 
-    chosen = [policies] if policies in shipped_names() else policies_of(policies)
+    robots = robots or []
+    if listed:
+        wanted = {Path(one).stem for one in robots}
+        rows = [row for row in kept_scores(runs) if row["robot"] in wanted or not wanted]
+        print_rows(rows, json=True) if json else print_table(kept_table(rows))
+        return
+    if not robots:
+        raise UsageError("no robot is given", hint="name a URDF or a robot; --list shows the scores so far")
+    try:
+        chosen = [] if policies in names("robots") else [open_run(policies, runs, database).path]
+    except NoSuchRunError:
+        chosen = []
+    chosen = chosen or policies_of(policies)
     every = []
     for robot in robots:
         name = Path(robot).stem
@@ -127,8 +144,8 @@ def score(
         overrides: list[str] = []
         notes: list[str] = []
         try:
-            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, folder, mass)
-            found = score_robot(chosen, overrides, episodes, folder)
+            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass)
+            found = score_robot(chosen, overrides, episodes, folder, runs)
         except KarolosError as error:
             if len(robots) == 1:
                 raise
@@ -150,26 +167,21 @@ def score(
         print_table(arms_table(every))
 
 
-def _overrides(robot: str, gripper: str | None, folder: Path, mass: float | None) -> tuple[list[str], list[str], str]:
+def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, what is assumed of its file, and what it is called."""
     from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of
-    from karolos.robots.repair import Repair
 
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
     path = Path((installed_file(robot) if robot.startswith(INSTALLED) else None) or robot)
-    path, name, notes = path.absolute() if not str(path).startswith(INSTALLED) else path, path.stem, list[str]()
+    settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
     try:
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
     except PluginError:
-        repair = Repair(path, mass)
-        if repair.robot is None or not repair.findings:
-            raise
-        path = folder.absolute() / f"{name}.urdf"
-        repair.write(path)
-        found = proposal_of(FromFile.Settings.model_validate({"file": str(path), "gripper": gripper}))
-        notes = [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
-    return ["robot.name=urdf", f"robot.file={path}", *gripping], [*notes, *found.notes], name
+        settings |= {"repair": True} | ({"mass": mass} if mass is not None else {})
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
+    given = [f"robot.{key}={dumps(value)}" for key, value in settings.items()]
+    return ["robot.name=urdf", *given, *gripping], [*found.notes], path.stem

@@ -45,7 +45,7 @@ def run(
     if_needed: IfNeeded = False,
     on: On = None,
     detach: Annotated[
-        bool, typer.Option("--detach", help="Go on in the background; the output is in NAME.log in the runs folder.")
+        bool, typer.Option("--detach", help="Run in the background. The output goes to NAME.log in the runs folder.")
     ] = False,
     time_limit: TimeLimit = None,
     quiet: Quiet = False,
@@ -54,7 +54,7 @@ def run(
     """Train and test what SPEC describes, once per seed.
 
     Each run writes a folder in the runs folder and an entry in the database. Ctrl-C finishes the step, writes a
-    checkpoint and stops the run. A second Ctrl-C ends it at once.
+    checkpoint and stops. A second Ctrl-C stops at once.
     """
     from karolos.specification import load_spec
 
@@ -82,7 +82,7 @@ def run(
 
 
 def _detach(log: Path) -> NoReturn:
-    """Start this command again, without a terminal and with its output in the log, and end this process.
+    """Start this command in the background, with its output in the log, and end this process.
 
     Raises:
         MachineError: the log cannot be written.
@@ -100,7 +100,9 @@ def _detach(log: Path) -> NoReturn:
 
 More = Annotated[
     list[str] | None,
-    typer.Argument(metavar="[PATH=VALUE]...", help="More steps for a finished run: training.steps=50000."),
+    typer.Argument(
+        metavar="[PATH=VALUE]...", help="For a finished run: its new number of steps, e.g. training.steps=50000."
+    ),
 ]
 
 
@@ -115,8 +117,8 @@ def resume(
 ) -> None:
     """Resume a run that was stopped, failed or killed, from its newest checkpoint.
 
-    On the CPU and in lockstep the result is bit for bit that of a run without the interruption. With
-    training.steps=... a finished run goes on for more steps, as a run of its own that begins where that one ended.
+    On the CPU and in lockstep the result is the same, bit for bit, as without the interruption. With
+    training.steps=... a finished run goes on: karolos copies it to a new run, which trains to this number of steps.
     """
     from karolos.launchers.experiment import resume_run
     from karolos.store import Store

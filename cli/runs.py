@@ -1,4 +1,4 @@
-"""`karolos runs`: what was run, and with which results."""
+"""`karolos runs`: recorded runs and their results."""
 
 from __future__ import annotations
 
@@ -52,11 +52,9 @@ if TYPE_CHECKING:
     from karolos.records.run_records import RunRecord, RunSummary
     from karolos.store import Store
 
-app = typer.Typer(
-    name="runs", help="List, show, label and remove runs; write them to an archive and read one.", no_args_is_help=True
-)
+app = typer.Typer(name="runs", help="List, show, label, stop, remove, export and import runs.", no_args_is_help=True)
 STOP_SECONDS = 0.2
-"""Time between two looks whether a run has stopped."""
+"""Time between two checks whether a run has stopped."""
 WATCH_SECONDS = 2.0
 """Time between two tables of `runs list --watch`."""
 LabelledRun = Annotated[str, typer.Argument(metavar="RUN", help=MANY_HELP, autocompletion=complete_run)]
@@ -68,27 +66,31 @@ def list_runs(
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
-    csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values with a line of names.")] = False,
+    csv: Annotated[bool, typer.Option("--csv", help="Print comma-separated values with a header line.")] = False,
     state: Annotated[
         str | None,
-        typer.Option(metavar="STATE", help="Only runs that are created, running, finished, failed, stopped or lost."),
+        typer.Option(
+            metavar="STATE", help="List runs in this state: created, running, finished, failed, stopped or lost."
+        ),
     ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="Only this number of runs, the newest.")] = None,
-    trials: Annotated[bool, typer.Option("--trials", help="List the runs of sweeps' trials, too.")] = False,
-    trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash instead.")] = False,
+    limit: Annotated[int | None, typer.Option(min=1, help="List only the newest runs, this number of them.")] = None,
+    trials: Annotated[bool, typer.Option("--trials", help="Also list the runs of sweeps.")] = False,
+    trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash.")] = False,
     watch: Annotated[
-        bool, typer.Option("--watch", help="Show what runs where, until Ctrl-C or until no run waits or runs.")
+        bool, typer.Option("--watch", help="Show running and waiting runs live, until all have ended or until Ctrl-C.")
     ] = False,
     columns: Annotated[
         str | None,
-        typer.Option(metavar="NAME,...", help="Only these columns: run, success_end, agent.learning_rate, ..."),
+        typer.Option(metavar="NAME,...", help="Show these columns: run, success_end, agent.learning_rate, ..."),
     ] = None,
     sort: Annotated[
-        str | None, typer.Option(metavar="KEY", help="Sort by a column, the smallest first; -KEY: the largest first.")
+        str | None, typer.Option(metavar="KEY", help="Sort by this column, smallest first. -KEY: largest first.")
     ] = None,
-    group: Annotated[bool, typer.Option("--group", help="One row per experiment, with means over its seeds.")] = False,
+    group: Annotated[
+        bool, typer.Option("--group", help="Print one row per experiment, with means over its seeds.")
+    ] = False,
 ) -> None:
-    """List runs, the newest first, or experiments with the means over their seeds."""
+    """List runs, newest first, or experiments with means over their seeds."""
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
@@ -109,7 +111,7 @@ def list_runs(
         print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
         return
     if group and columns is not None:
-        raise UsageError("--group has columns of its own", hint="leave out --columns")
+        raise UsageError("--group cannot be combined with --columns", hint="leave out --columns")
     store = open_store(runs, database)
     if store is None:
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")
@@ -156,9 +158,9 @@ def _rows(
 
 
 def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
-    """One row per experiment: its runs and states; of one finished run per seed, the means over those with a result.
+    """One row per experiment: its runs and states, and means over one finished run with a result per seed.
 
-    `steps_to_95` is the median over those with a success, where one that never got there counts as infinite.
+    `steps_to_95` is the median over runs with a success. A run that never reached it counts as infinite.
     """
     from karolos.comparison.contenders import averaged, name_of, repeated
     from karolos.statistics.reaching import median_reaching
@@ -186,7 +188,7 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
 
 
 def _watch(runs: Path) -> None:
-    """Print a table of the runs that wait or run, with their machine and progress, until there are none."""
+    """Print a table of waiting and running runs, with machine and progress, until there are none."""
     from rich.console import Console
 
     from karolos.files import read_object
@@ -212,7 +214,7 @@ def show(
     run: APolicy,
     everything: Annotated[
         bool,
-        typer.Option("--all", help="Show every test and setting, checkpoints, versions, command and git commit, too."),
+        typer.Option("--all", help="Also show all tests and settings, checkpoints, versions, command and git commit."),
     ] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
@@ -221,6 +223,7 @@ def show(
     """Show a run: state, result with 95 % intervals, and the settings that are not defaults."""
     from karolos.core.environment import STAGE
     from karolos.records import RunFolder
+    from karolos.records.shipped import results_of
     from karolos.store.query import existing, find_meant
 
     about: Mapping[str, Any] = {}
@@ -233,7 +236,7 @@ def show(
         if os.path.isdir(summary.folder):
             folder = RunFolder.open(summary.folder)
             record, about, tests, final = folder.record(), folder.description(), folder.tests(), folder.final()
-            transfers, unreadable = folder.transfers()
+            transfers, unreadable = results_of(folder, runs).transfers()
             stages = folder.stages(STAGE)
             checkpoints, damaged = _checkpoints(folder)
             problems = (*record.problems, *damaged, *unreadable)
@@ -270,10 +273,8 @@ def show(
 @app.command()
 def tag(
     run: LabelledRun,
-    tags: Annotated[
-        list[str], typer.Argument(metavar="TAG...", help="Words of your own.", autocompletion=complete_tag)
-    ],
-    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags instead.")] = False,
+    tags: Annotated[list[str], typer.Argument(metavar="TAG...", help="Any words.", autocompletion=complete_tag)],
+    remove: Annotated[bool, typer.Option("--remove", help="Remove these tags.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -295,7 +296,7 @@ def note(
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Set the note of a run, or of all runs of an experiment. It replaces the note before."""
+    """Set the note of a run, or of all runs of an experiment. It replaces the old note."""
     from karolos.records import labels
 
     if (text is None) != remove or text == "":
@@ -307,7 +308,7 @@ def note(
 def _relabel(
     selector: str, change: Callable[[Path], bool], runs: Path, database: str | None, *, same: str, json: bool
 ) -> None:
-    """Write into the run folders, and let the index read them again. `same` says why no run changed."""
+    """Write into the run folders, and update the index. `same` says why no run changed."""
     from karolos.records import RunFolder
 
     store, found = select_runs([selector], None, runs, database)
@@ -327,7 +328,7 @@ def _relabel(
 def remove(
     run: ManyRuns = None,
     where: Where = None,
-    purge: Annotated[bool, typer.Option("--purge", help="Empty the trash for good. Takes no RUN.")] = False,
+    purge: Annotated[bool, typer.Option("--purge", help="Delete the whole trash for good. Without RUN.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -351,16 +352,16 @@ def remove(
                 path = trash.throw_away(RunFolder.open(summary.folder))
                 store.remove_runs([summary.run])
                 moved.append({"run": summary.run, "folder": str(path)})
-        finally:  # also what was moved before one that cannot be
+        finally:  # also the runs moved before the one that failed
             print_rows(moved, json=json, line="{run} -> {folder}")
     say("`karolos runs restore RUN` brings them back, `karolos runs rm --purge` empties the trash")
 
 
 @app.command()
 def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> None:
-    """Stop a run after a checkpoint, whatever started it. Ctrl-C ends the waiting, and the run stops nevertheless.
+    """Write a checkpoint and stop a run, whatever started it. Other seeds of its experiment go on.
 
-    Other seeds of its experiment go on.
+    The command waits until the run has stopped. After Ctrl-C the run still stops, without the waiting.
     """
     from karolos.files import write_whole
 
@@ -404,10 +405,10 @@ def restore(
 
 @app.command("export")
 def export_runs(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A new .tar.gz.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Archive to write: a new .tar.gz.")],
     run: ManyRuns = None,
     where: Where = None,
-    checkpoints: Annotated[bool, typer.Option(help="Include the checkpoints, which can be large.")] = True,
+    checkpoints: Annotated[bool, typer.Option(help="Include checkpoints, which can be large.")] = True,
     without_source: Annotated[
         bool,
         typer.Option(
@@ -418,7 +419,7 @@ def export_runs(
     runs: Runs = Path("runs"),
     database: Database = None,
 ) -> None:
-    """Write run folders into an archive, which `karolos runs import` reads on another machine."""
+    """Write run folders into an archive. `karolos runs import` reads it on another machine."""
     from karolos.records import RunFolder, archive
 
     store, found = select_runs(run or (), where, runs, database)
@@ -434,13 +435,15 @@ def export_runs(
 
 @app.command("import")
 def import_runs(
-    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="A .tar.gz.")],
-    most: Annotated[float, typer.Option("--most", min=0, help="Most gigabytes that an archive may unpack to.")] = 64.0,
+    files: Annotated[list[Path], typer.Argument(metavar="FILE...", help="Archives: .tar.gz.")],
+    most: Annotated[
+        float, typer.Option("--most", min=0, help="Largest allowed size of an unpacked archive, in gigabytes.")
+    ] = 64.0,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Read runs from an archive into the runs folder: all of them or none. A run that already exists is refused."""
+    """Read all runs of an archive into the runs folder. If one of them already exists, none is read."""
     from karolos.records import archive
 
     with writing(runs):
@@ -465,14 +468,14 @@ def import_runs(
 def push_runs(
     selectors: ManyRuns = None,
     to: Annotated[
-        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="mlflow, wandb or trackio.")
+        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="Tracker: mlflow, wandb or trackio.")
     ] = "",
     where: Where = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Send runs to a tracker: tests, settings and records. A run that it has already is completed."""
+    """Send runs to a tracker: tests, settings and records. Runs that the tracker knows are completed."""
     from karolos.experiment.tracking import push
     from karolos.records import RunFolder
 
@@ -491,7 +494,7 @@ def _test_row(test: Evaluation, *, near: bool = False) -> dict[str, Any]:
 
 
 def _checkpoints(folder: RunFolder) -> tuple[list[dict[str, Any]], list[str]]:
-    """The metadata of the checkpoints that can be read, and what is wrong with the others."""
+    """The metadata of readable checkpoints, and the errors of the others."""
     from karolos.records import checkpoint
 
     found, problems = [], []

@@ -1,4 +1,4 @@
-"""`karolos spec`: the specs that ship, what a spec resolves to, and the schema of specs."""
+"""`karolos spec`: lists and copies shipped specs, resolves a spec, prints the schema of specs."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from .output import print_line, print_rows, warn
 
 app = typer.Typer(
     name="spec",
-    help="The specs that ship, what a spec resolves to, and the schema.",
+    help="List, copy and show specs; print their JSON Schema.",
     no_args_is_help=True,
 )
 
 
 @app.command("list")
 def list_specs(json: Json = False) -> None:
-    """List the specs that ship with karolos: `karolos run NAME` runs one, `extends: karolos:NAME` extends it."""
+    """List the shipped specs. `karolos run NAME` runs one, `extends: karolos:NAME` extends it."""
     from karolos.specification.files import shipped_specs
 
     rows = [
@@ -37,10 +37,10 @@ def list_specs(json: Json = False) -> None:
 
 @app.command()
 def copy(
-    name: Annotated[str, typer.Argument(metavar="NAME", help="Of a spec that ships.", autocompletion=complete_spec)],
-    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="The copy. Default: NAME.yaml here.")] = None,
+    name: Annotated[str, typer.Argument(metavar="NAME", help="Name of a shipped spec.", autocompletion=complete_spec)],
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="File to write. Default: NAME.yaml.")] = None,
 ) -> None:
-    """Copy a spec that ships, to change it. What it extends stays in the package, as karolos:NAME."""
+    """Copy a shipped spec so that you can change it. The specs that it extends stay in the package, as karolos:NAME."""
     from karolos.specification.files import shipped_text
 
     text = shipped_text(name)
@@ -59,9 +59,9 @@ def show(
     origin: Annotated[bool, typer.Option("--origin", help="Show where each value comes from.")] = False,
     json: Json = False,
 ) -> None:
-    """Print SPEC with everything that it extends and every default: YAML that is a valid spec itself.
+    """Print SPEC with every extended setting and default. The output is a valid spec.
 
-    With --origin: one line per value with its file:line:column, override or default.
+    With --origin: one line per value, with the file:line:column, override or default that it comes from.
     """
     from karolos.report.tables import setting
     from karolos.specification import load_spec, to_yaml

@@ -15,7 +15,7 @@ from .plans import print_trials, report_best
 if TYPE_CHECKING:
     from karolos.records.sweep_records import SweepRecord
 
-app = typer.Typer(name="sweeps", help="List sweeps, and show the trials of one.", no_args_is_help=True)
+app = typer.Typer(name="sweeps", help="List sweeps, and show their trials.", no_args_is_help=True)
 
 
 @app.command("list")
@@ -24,7 +24,7 @@ def list_sweeps(
     database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
     json: Json = False,
 ) -> None:
-    """List sweeps, the newest first: progress, and the best trial by the first objective."""
+    """List sweeps, newest first, with their progress and the best trial by the first objective."""
     from karolos.records.sweep_records import sweeps
 
     found, problems = sweeps(runs)
@@ -47,7 +47,7 @@ def show(
     database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
     json: Json = False,
 ) -> None:
-    """Show a sweep: every trial with its objectives, settings and runs, and how good the best is on which seeds."""
+    """Show a sweep: every trial with objectives, settings and runs, and the best trial's result on new seeds."""
     from karolos.records.sweep_records import find_sweep
 
     sweep = find_sweep(runs, name)

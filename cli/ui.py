@@ -17,19 +17,17 @@ from .output import print_line, say
 def ui(
     runs: Runs = Path("runs"),
     database: Database = None,
-    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine; 0 takes a free one.")] = 6789,
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port on this machine. 0: any free port.")] = 6789,
     host: Annotated[
         str,
-        typer.Option(
-            metavar="ADDRESS", help="Name or address to listen on. Beyond this machine the page asks for a token."
-        ),
+        typer.Option(metavar="ADDRESS", help="Name or address to listen on. Other machines need a token."),
     ] = "127.0.0.1",
     token: Annotated[
         str | None,
         typer.Option(
             metavar="TEXT",
             envvar="KAROLOS_TOKEN",
-            help="Token that the page asks for. Default: none on this machine, beyond it a random one.",
+            help="Token that the page asks for. Default: none on this machine, a random one for other machines.",
         ),
     ] = None,
     open_browser: Annotated[bool, typer.Option("--open", help="Open the page in a browser.")] = False,

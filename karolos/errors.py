@@ -15,7 +15,7 @@ from difflib import get_close_matches
 from typing import Any
 
 LONGEST = 1000
-"""Largest length of an error's text in characters: a value that it repeats may have any length."""
+"""Largest length of an error's text in characters. The values in it may have any length."""
 
 
 _PATH = re.compile(
@@ -28,7 +28,7 @@ _SECRET = (
     r"(?:pass|pwd|pw|auth|authorization|bearer)|(?<=[?&])(?:X-Amz-)?(?:sig|signature))s?(?:[_-]?(?:key|value|id))?"
 )
 _NO_SECRET = re.compile(r"\$\{?\w+\}?|<[^<>]*>|\[\w+\]|none|null|no|off|on|yes|true|false|auto|", re.IGNORECASE)
-"""Values that are no secrets: the name of a variable, a mark such as <pad>, and words of settings."""
+"""Values that are not secrets: the name of a variable, a mark such as <pad>, and words of settings."""
 _ASSIGNED = re.compile(
     rf"""(?P<name>{_SECRET})["']?\]?\s*(?::=|[:=](?!=))\s*(?:(?:bearer|basic|token)\s+(?=\w))?"""
     r"""(?P<value>[bfru]{0,2}(?:"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*')|[^\s"'&;,)\]}]+)(?=(?P<after>\s*[|=]\s)?)""",
@@ -196,7 +196,7 @@ class SpecError(KarolosError):
 
 
 class PluginError(KarolosError):
-    """A plugin that lacks a file, does not import, has the name of another or breaks its interface."""
+    """A broken plugin: a file is missing, it cannot be imported, its name is taken, or it breaks its interface."""
 
     exit_code = 3
 

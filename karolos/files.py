@@ -1,7 +1,7 @@
-"""Files that are written completely or not at all, files of JSON lines, and locks that end with their process.
+"""Files that are written completely or not at all, files of JSON lines, and locks that the end of a process releases.
 
-An error of the operating system during writing becomes a MachineError that says what to do. `fingerprint` tells whether
-files that an experiment reads were edited.
+An error of the operating system during writing becomes a MachineError that says what to do. `fingerprint` identifies
+the content of files that an experiment reads.
 """
 
 from __future__ import annotations
@@ -24,28 +24,28 @@ from . import system
 from .errors import KarolosError, MachineError, UsageError
 
 SPECS = next(path for up in (0, 1) if (path := Path(__file__).parents[up] / "specs").is_dir())
-"""Folder of the specs that ship: of the installed package, or of a checkout."""
+"""Folder of the shipped specs, in the installed package or in a checkout."""
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
 MOST_FILES, MOST_BYTES = 20_000, 1 << 32
-"""Largest folder that counts by its content; a larger one counts by its name."""
+"""Largest folder that is identified by its content. A larger one is identified by its name."""
 LARGE_FILE, SAMPLES, SAMPLE = 1 << 26, 256, 1 << 16
-"""A file of more bytes counts by its size and by SAMPLES parts of SAMPLE bytes, so that specs stay fast."""
+"""A larger file (bytes) is identified by its size and SAMPLES parts of SAMPLE bytes, so that specs stay fast."""
 _NAMING = (".urdf", ".xml", ".mjcf", ".xacro", ".sdf", ".py", ".json", ".toml", ".yaml", ".yml")
 _NAMED = re.compile(r"""["']([^"'<>\0\r\n]{1,300}\.\w{1,8})["']""")
 _UNQUOTED = re.compile(r"""[:-][ \t]+([^\s"'#]{1,300}\.\w{1,8})[ \t]*$""", re.MULTILINE)
 """A name in YAML."""
 _JOINED = re.compile(r"""["']\s*[,/]\s*f?["']|\{\w+\}/""")
-"""Text between the parts of a path in Python, or before it in an f-string."""
+"""Text between the parts of a path in Python code, or before the path in an f-string."""
 _FOLDER = re.compile(r"""\b(?:mesh|asset)dir\s*=\s*["']([^"'<>]{1,300})["']""")
 """Where an MJCF file says that its meshes are."""
 _IMPORTED = re.compile(r"^[ \t]*(?:from|import)[ \t]+(\w[\w., \t]*)", re.MULTILINE)
 _NO_SOURCE = re.compile(r"[.#].*|.*~|.*\.(?:py[co]|nb[ic])|__pycache__|specs|runs|shipped_runs")
-"""Names in a package that are no source: files that are hidden, an editor's, compiled, specs or runs."""
+"""Names in a package that are not source: hidden, compiled and editor's files, specs, runs."""
 LOCK_SECONDS = 20.0
-"""How long `locked` waits for a process that writes labels or a line, which takes milliseconds."""
+"""Time that `locked` waits for a process that writes labels or a line. Writing takes milliseconds."""
 
 
 class Lines(NamedTuple, Generic[T]):
@@ -66,7 +66,7 @@ def writing(path: Path) -> Iterator[None]:
 
 def _explained(error: OSError, path: Path) -> MachineError:
     if error.errno in _FULL:
-        return MachineError("the disk is full", where=str(path), hint="free some space; what was there before is whole")
+        return MachineError("the disk is full", where=str(path), hint="free some space; the old content is intact")
     if error.errno in _FORBIDDEN:
         return MachineError("cannot be written", where=str(path), hint="change its permissions or name another folder")
     if isinstance(error, NotADirectoryError | FileExistsError):
@@ -78,19 +78,19 @@ def below(root: Path, name: str) -> Path:
     """`root / name`. Raises UsageError if it is not below `root` after links are followed."""
     path = root / name
     if root.resolve() not in path.resolve().parents:
-        raise UsageError(f"{name!r} leads out of {root}", hint="give a plain name")
+        raise UsageError(f"{name!r} leads outside of {root}", hint="give a plain name")
     return path
 
 
 def is_portable(name: str) -> bool:
-    """Whether Windows allows a file of this name, too."""
+    """Whether Windows, too, allows a file of this name."""
     return name.partition(".")[0].lower() not in system.RESERVED_NAMES and not name.endswith(".")
 
 
 def find_named(name: str, folder: Path) -> Path | None:
-    """The file that is called `name` in a file of `folder`, as a mesh in a URDF; None if there is none.
+    """The file that a file of `folder` calls `name`, e.g. a mesh in a URDF; None if it does not exist.
 
-    A `package://` name is looked for in this folder and those above it, with and without the name of the package.
+    A `package://` name is searched in this folder and its parents, with and without the name of the package.
     """
     scheme, separator, rest = name.partition("://")
     if scheme in ("package", "model") and separator:
@@ -104,11 +104,11 @@ def find_named(name: str, folder: Path) -> Path | None:
 
 
 INSTALLED = "installed:"
-"""Begins the name of a file that a package on this machine brings: installed:PACKAGE/the/end/of/its/path.urdf."""
+"""Prefix of a file in a package on this machine: installed:PACKAGE/the/end/of/its/path.urdf."""
 
 
 def installed_file(name: str) -> Path | None:
-    """The file that `installed:PACKAGE/PATH` names; None if there is none."""
+    """The file that `installed:PACKAGE/PATH` names; None if it does not exist."""
     package, _, end = name.removeprefix(INSTALLED).partition("/")
     try:
         files = importlib.metadata.files(package) or []
@@ -118,14 +118,14 @@ def installed_file(name: str) -> Path | None:
 
 
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
-    """SHA-256 (hex) of a file or of the source in a folder, and of files that are named there; None if it is neither.
+    """SHA-256 (hex) of a file or of a folder's source, with all files that are named there; None for anything else.
 
-    A URDF names its meshes, a module the files in its texts and the modules and packages beside it.
+    A URDF names its meshes. A module names the files in its texts, and neighbouring modules and packages.
 
     Args:
         path: of the file or the folder.
-        unread: gets a line for each file that does not count, such as a dangling link, or a folder that is too large.
-        follow: include the files that are named.
+        unread: gets a line for each file that is ignored, such as a dangling link or a folder that is too large.
+        follow: include the named files.
     """
     notes: list[str] = [] if unread is None else unread
     pending = list(_source(path, notes)) if os.path.isdir(path) else [("", path)] if os.path.isfile(path) else []
@@ -159,7 +159,7 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
 def copy_named(path: Path, folder: Path) -> Path:
     """Copy a file, and the files that it names, into a folder where `find_named` finds them. Returns the copy.
 
-    Its fingerprint is that of the original. What has an absolute name stays where it is.
+    The copy has the original's fingerprint. Files with an absolute name are not copied.
     """
     with writing(folder):
         status = os.stat(path)
@@ -177,7 +177,7 @@ def copy_named(path: Path, folder: Path) -> Path:
 
 
 def _source(folder: Path, notes: list[str]) -> Iterator[tuple[str, Path]]:
-    """Name and path of the files below a folder, few more than count; one that links lead to twice is read once."""
+    """Name and path of the files below a folder, up to a few more than allowed. A file with two links is read once."""
     visited, count = set[str](), 0
     for place, folders, names in os.walk(folder, followlinks=True, onerror=lambda error: notes.append(str(error))):
         visited.add(os.path.realpath(place))
@@ -209,7 +209,7 @@ def _content(path: str, _: int, size: int, *__: int) -> tuple[str, tuple[str, ..
     named += [f"{folder}/{name}" for folder in _FOLDER.findall(text) for name in named]
     if path.lower().endswith((".yaml", ".yml")):
         named += _UNQUOTED.findall(text)
-    if path.endswith(".py") and "-packages" not in path:  # site-packages and dist-packages hold modules of others
+    if path.endswith(".py") and "-packages" not in path:  # site-packages and dist-packages hold foreign modules
         named += _NAMED.findall(_JOINED.sub(lambda joint: "/" if "{" not in joint[0] else "", text))
         lines = (line.partition(" import")[0].split(",") for line in _IMPORTED.findall(text))
         modules = {module.split()[0].partition(".")[0] for line in lines for module in line if module.strip()}
@@ -218,11 +218,11 @@ def _content(path: str, _: int, size: int, *__: int) -> tuple[str, tuple[str, ..
 
 
 def remove_leftovers(folder: Path, pattern: str) -> None:
-    """Remove files and folders that dead processes of this user left, if they can be removed.
+    """Remove files and folders that dead processes of this user left behind, if possible.
 
     Args:
         folder: where they are.
-        pattern: of their names: a regular expression whose first group is the id of the process.
+        pattern: a regular expression for their names; its first group is the id of the process.
     """
     with contextlib.suppress(OSError):
         for entry in list(os.scandir(folder)):
@@ -239,11 +239,11 @@ def remove_leftovers(folder: Path, pattern: str) -> None:
 
 
 UNFINISHED = r"\..+\.(\d+)\.tmp"
-"""Names of the files that `write_whole` writes beside the old ones."""
+"""Names of the temporary files of `write_whole`."""
 
 
 def write_whole(path: Path, text: str, *, durable: bool = True) -> None:
-    """Write a file so that a reader sees the old or the new content and never a part of it.
+    """Write a file so that a reader sees the old or the new content, never a part.
 
     Args:
         path: of the file.
@@ -353,7 +353,7 @@ def read_values(path: Path, parse: Callable[[bytes], T | None], what: str) -> Li
 def new_lines(path: Path, start: int) -> tuple[list[dict[str, Any]], int]:
     """The JSON objects of the complete lines from byte `start` on, and where they end. A missing file is empty.
 
-    A shorter file was cut: its next line is new.
+    If the file has become shorter, reading continues at its new end.
     """
     try:
         with path.open("rb") as file:
@@ -439,12 +439,12 @@ class FileLock:
 
 @contextlib.contextmanager
 def locked(path: Path, refusal: KarolosError | None = None, seconds: float | None = None) -> Iterator[None]:
-    """Hold the lock of a file, whose folder is made if it is missing.
+    """Hold the lock of a file. A missing folder is created.
 
     Args:
         path: of the file.
-        refusal: is raised if another process keeps it locked; None: a MachineError.
-        seconds: how long to wait; None: LOCK_SECONDS, enough for locks of milliseconds.
+        refusal: error to raise if another process keeps the lock; None: a MachineError.
+        seconds: time to wait; None: LOCK_SECONDS, enough for locks of milliseconds.
 
     Raises:
         MachineError: the file cannot be created.

@@ -6,8 +6,8 @@
     gymnasium.make("karolos/UR5PickPlace-v2", control="cartesian", reward="sparse")
 
 `gymnasium.make("karolos.gym:karolos/PandaReach-v1")` imports this module by itself. The names are those of the classes
-of all installed plugins. Plugins and engines are imported when an environment is made. Where a task's own number of
-steps is too small for its expert, -v2 has more; -v1 stays as it was, and gymnasium says that there is a newer one.
+of all installed plugins. Plugins and engines are imported when an environment is made. If a task's default number of
+steps is too small for its expert, -v2 has more steps. -v1 stays unchanged, and gymnasium points to the newer one.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ def environment_ids() -> dict[str, tuple[str, str]]:
 
 
 def _class_names(kind: str) -> dict[str, str]:
-    """The class name of each plugin; where two are equal, the plugin's own name in capitalized words instead."""
+    """The class name of each plugin. If two are equal: the plugins' own names in capitalized words."""
     classes = {
         entry.name: _ACRONYMS.get(entry.name) or entry.target.partition(":")[2].rpartition(".")[2]
         for entry in entries(kind)

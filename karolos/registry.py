@@ -1,4 +1,4 @@
-"""The installed plugins: listed by name without importing any, and imported one at a time.
+"""The installed plugins: lists them by name without an import, and imports one at a time.
 
 A plugin is a class behind an entry point of the group `karolos.<kind>`, whether it is karolos's own or a third
 party's. Its settings are a nested pydantic model called `Settings`.
@@ -33,7 +33,7 @@ KINDS = (
 GROUPS = {f"karolos.{kind}": kind for kind in KINDS}
 """Group of entry points -> its kind."""
 LARGEST = 1_000_000
-"""Most bytes of a file of entry points."""
+"""Largest size of a file of entry points in bytes."""
 
 NEEDED_ATTRIBUTES = {
     "robots": ("prepare", "build", "apply", "reset", "act", "read", "observe"),
@@ -46,7 +46,7 @@ NEEDED_ATTRIBUTES = {
     "orchestrators": ("reset", "step", "receive", "close"),
     "launchers": ("room", "start", "wait", "close"),
 }
-"""Attributes that a class of each kind must have, whether or not it inherits from karolos's interface."""
+"""Attributes that a class of each kind must have, even if it does not inherit from karolos's interface."""
 
 
 @dataclass(frozen=True)
@@ -129,13 +129,13 @@ def _installed() -> tuple[PluginEntry, ...]:
 
 
 def unreadable() -> tuple[str, ...]:
-    """A line for each installed distribution whose entry points cannot be read: its plugins are not known."""
+    """A line for each installed distribution with unreadable entry points: its plugins are unknown."""
     return _scan()[1]
 
 
 def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPoints:
     """The entry points of a distribution. Raises any error that its files cause."""
-    place = getattr(dist, "_path", None)  # of a zip file or an importer of its own there may be none
+    place = getattr(dist, "_path", None)  # a zip file or a special importer may have none
     file = str(place / "entry_points.txt") if place else ""
     if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
         raise OSError(f"no plain file of at most {LARGEST:,} bytes")
@@ -157,7 +157,7 @@ importlib.metadata.Distribution.entry_points = property(_readable_points)  # typ
 @cache
 def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
     """All plugins, and a line for each unreadable file. It takes 20 ms, so it is done once per process."""
-    found: dict[str, set[PluginEntry]] = {}  # of two copies of a distribution the first on Python's path counts
+    found: dict[str, set[PluginEntry]] = {}  # if a distribution has two copies, the first one on Python's path counts
     problems: list[str] = []
     for dist in importlib.metadata.distributions():
         place = getattr(dist, "_path", dist)
@@ -195,7 +195,7 @@ def _load(entry: PluginEntry) -> Any:
             inside = (at for name, at in _frames(error) if _package(name) == package and not name.startswith(own))
             place = next((f"{at}: " for at in inside), "")
         hint = f"repair {entry.target}, or uninstall {entry.distribution}"
-        # `from None`: the command line prints the traceback of a cause, and the place says it all
+        # `from None`: the command line would print the traceback of a cause, but the place is enough
         raise broken(f"does not import: {_text(error)}", where=place + entry.who, hint=hint) from None
     return plugin
 
@@ -214,7 +214,7 @@ def blaming() -> Iterator[None]:
         theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
         for name, place in _frames(error):
             found = [entry for entry in theirs if entry.package == _package(name)]
-            if found:  # of several in a package the one whose module and class begin most alike
+            if found:  # if a package has several, the one with the most similar module and class
                 entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
                 where = f"{place}: {entry.who}"
                 raise PluginError(_text(error), where=where, plugin=(entry.kind, entry.name)) from None
@@ -235,7 +235,7 @@ def _package(name: str) -> str:
 
 
 def _text(error: BaseException) -> str:
-    """Class and first line of any exception, also where its __str__ raises; with Python's "Did you mean"."""
+    """Class and first line of any exception, even if its __str__ raises; with Python's "Did you mean"."""
     return traceback.format_exception_only(error)[-1].splitlines()[0]
 
 
@@ -248,7 +248,7 @@ def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> Non
     if not (isinstance(settings, type) and issubclass(settings, BaseModel)):
         raise broken("has no settings", hint="nest a pydantic model called Settings in the class")
     if "name" in settings.model_fields:
-        raise broken("has a setting called 'name'", hint="a spec's `name` says which plugin; rename")
+        raise broken("has a setting called 'name'", hint="rename it: in a spec `name` is the name of the plugin")
     abstract: frozenset[str] = getattr(plugin, "__abstractmethods__", frozenset())
     lacking = sorted({*abstract, *(name for name in NEEDED_ATTRIBUTES[kind] if not hasattr(plugin, name))})
     if lacking:

@@ -1,7 +1,6 @@
-"""What differs between Linux, macOS and Windows: locks, processes, signals, memory, and files that others have open.
+"""Differences between Linux, macOS and Windows: locks, processes, signals, memory, and files that others have open.
 
-No other module asks for the system. A function promises the same on each system; where one cannot keep it, the
-docstring says so.
+No other module asks for the system. A function does the same on each system; exceptions are in its docstring.
 """
 
 from __future__ import annotations
@@ -27,7 +26,7 @@ if TYPE_CHECKING:
 LINUX, MACOS, WINDOWS = (sys.platform == name for name in ("linux", "darwin", "win32"))
 """Read when a function is called, so that tests can imitate another system."""
 PATIENCE_SECONDS = 2.0
-"""How long a file is tried to be moved or removed on Windows while a reader has it open."""
+"""Time for attempts to move or remove a file on Windows while a reader has it open."""
 T = TypeVar("T")
 
 # Processes and signals
@@ -35,7 +34,7 @@ T = TypeVar("T")
 STOP_SIGNALS = tuple(
     getattr(signal, name) for name in ("SIGTERM", "SIGINT", "SIGUSR1", "SIGHUP", "SIGBREAK") if hasattr(signal, name)
 )
-"""Signals that ask a program to end, those of terminals and batch systems included."""
+"""Signals that ask a program to end, including those of terminals and batch systems."""
 REQUEUED: int | None = getattr(signal, "SIGUSR1", None)
 """The signal of a batch system that starts the job again; None on Windows."""
 ALARM: signal.Signals = getattr(signal, "SIGALRM", signal.SIGABRT)
@@ -157,7 +156,7 @@ else:
     def _sync(descriptor: int) -> None:
         if sys.platform == "darwin":
             with suppress(OSError):  # a file system without it
-                fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)  # the disk's own cache as well, which fsync leaves out
+                fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)  # also flushes the disk's own cache, which fsync does not
                 return
         os.fsync(descriptor)
 
@@ -173,7 +172,7 @@ def has_ended(descriptor: int) -> bool:
 
 
 def lower_priority(niceness: int) -> None:
-    """Let this process step back behind others, as nice(1) does; on Windows by one class of priority."""
+    """Lower the priority of this process, as nice(1) does; on Windows by one class of priority."""
     _lower_priority(niceness)
 
 
@@ -195,7 +194,7 @@ def ended_by(code: int) -> str | None:
 
 
 def on_alarm(handler: Callable[[int, FrameType | None], None]) -> Any:
-    """Let ALARM call a function in the main thread, which ends no call of the system. Returns the handler before."""
+    """Let ALARM call a function in the main thread, without interrupting system calls. Returns the old handler."""
     before = signal.signal(ALARM, handler)
     if hasattr(signal, "siginterrupt") and not WINDOWS:
         signal.siginterrupt(ALARM, False)
@@ -203,7 +202,7 @@ def on_alarm(handler: Callable[[int, FrameType | None], None]) -> Any:
 
 
 def set_alarm(seconds: float) -> None:
-    """Raise ALARM every so many seconds from now on; 0: no more. On Windows when a call of the system is over."""
+    """Raise ALARM periodically (in s) from now on; 0: stop. On Windows it is raised after a system call ends."""
     if hasattr(signal, "setitimer") and not WINDOWS:
         signal.setitimer(signal.ITIMER_REAL, seconds, seconds)
         return
@@ -223,7 +222,7 @@ _alarms: list[threading.Event] = []
 
 
 def user_cache() -> Path:
-    """The folder of caches of this user. Raises RuntimeError where no home is known."""
+    """The cache folder of this user. Raises RuntimeError if there is no known home."""
     named = os.environ.get("LOCALAPPDATA" if WINDOWS else "XDG_CACHE_HOME", "")
     usual = "~/AppData/Local" if WINDOWS else "~/Library/Caches" if MACOS else "~/.cache"
     return Path(named if Path(named).is_absolute() else usual).expanduser()
@@ -233,7 +232,7 @@ def user_cache() -> Path:
 
 
 def cores(jobs: int = 1) -> int:
-    """CPU cores for each of `jobs` processes: an equal share of those that this process may use, at least 1.
+    """CPU cores for each of `jobs` processes: an equal share of the usable cores, at least 1.
 
     On Linux a job scheduler restricts a process to the cores of its job.
     """
@@ -241,7 +240,7 @@ def cores(jobs: int = 1) -> int:
 
 
 def memory() -> int:
-    """Bytes of the machine's memory, or of the control group of this process (a container), on Linux."""
+    """Memory of the machine in bytes; on Linux at most that of the process's control group (a container)."""
     limits = [_memory()]
     for file in _limit_files():
         with suppress(OSError, ValueError):  # "max": without a limit
@@ -272,7 +271,7 @@ def has_display() -> bool:
 
 
 RENDERERS = ("egl", "osmesa") if LINUX else ("glfw",) if WINDOWS else ("cgl",)
-"""MuJoCo's modules for pictures, in the order in which they are tried."""
+"""MuJoCo's modules for pictures, in the order of attempts."""
 RENDERER_HINT = (
     "apt install libegl1 libgl1-mesa-dri, or libosmesa6; and pip install pyopengl"
     if LINUX
@@ -283,7 +282,7 @@ RENDERER_HINT = (
 
 
 def listen_alone(listener: socket.socket) -> None:
-    """Let no other program listen on the same port, and let the next one listen as soon as this one has ended."""
+    """Reserve the port for this program, and free it for the next one as soon as this one ends."""
     import socket
 
     exclusive = getattr(socket, "SO_EXCLUSIVEADDRUSE", None)
@@ -291,7 +290,7 @@ def listen_alone(listener: socket.socket) -> None:
 
 
 def use_utf8() -> None:
-    """Print any character, also where Windows' own encoding lacks it."""
+    """Allow printing of any character, even if Windows' own encoding lacks it."""
     if WINDOWS:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
@@ -301,9 +300,9 @@ def use_utf8() -> None:
 
 
 BINARY: int = getattr(os, "O_BINARY", 0)
-"""A flag of `os.open` for files that are read and written as they are."""
+"""A flag of `os.open` for binary files."""
 RESERVED_NAMES = frozenset(("con prn aux nul " + " ".join(f"com{n} lpt{n}" for n in range(1, 10))).split())
-"""Names that no file may have on Windows, with any ending."""
+"""Reserved names on Windows, with any ending."""
 
 
 def try_lock(descriptor: int, *, shared: bool = False) -> bool:
@@ -316,12 +315,12 @@ def try_lock(descriptor: int, *, shared: bool = False) -> bool:
 
 
 def sync(descriptor: int) -> None:
-    """Write an open file to the disk, where it outlives a power cut."""
+    """Flush an open file to the disk, so that it survives a power cut."""
     _sync(descriptor)
 
 
 def sync_folder(folder: Path) -> None:
-    """Write the names in a folder to the disk. Windows does so itself."""
+    """Flush the names in a folder to the disk. Windows does so itself."""
     if WINDOWS:
         return
     descriptor = os.open(folder, os.O_RDONLY)
@@ -343,7 +342,7 @@ def remove(path: str | Path, *, missing_ok: bool = False) -> None:
 
 
 def remove_tree(path: str | Path, *, ignore_errors: bool = False) -> None:
-    """Remove a folder and what it holds."""
+    """Remove a folder with its content."""
     import shutil
 
     with suppress(*([OSError] if ignore_errors else [])):
@@ -351,7 +350,7 @@ def remove_tree(path: str | Path, *, ignore_errors: bool = False) -> None:
 
 
 def _patiently(change: Callable[[], None]) -> None:
-    """Change a file; on Windows again until no reader has it open."""
+    """Change a file; on Windows repeat until no reader has it open."""
     deadline = time.monotonic() + PATIENCE_SECONDS
     while True:
         try:
@@ -408,20 +407,20 @@ def _share_by_statfs(path: Path) -> str | None:
 
 
 class Poller(Generic[T]):
-    """Waits for connections of multiprocessing with a message or an end. Half as slow as a selector of Python."""
+    """Waits for connections of multiprocessing with a message or an end. Twice as fast as a selector of Python."""
 
     def __init__(self) -> None:
         self._items: dict[int, tuple[Any, T]] = {}
         self._poll = select.poll() if hasattr(select, "poll") and not WINDOWS else None
 
     def add(self, one: Any, item: T) -> None:
-        """Wait for this connection, too; `item` stands for it."""
+        """Also wait for this connection; `item` identifies it."""
         self._items[one.fileno()] = one, item
         if self._poll is not None:
             self._poll.register(one, select.POLLIN)
 
     def remove(self, one: Any) -> None:
-        """Wait no longer for a connection, which is still open."""
+        """Stop waiting for a connection that is still open."""
         del self._items[one.fileno()]
         if self._poll is not None:
             self._poll.unregister(one)
@@ -440,7 +439,7 @@ class Poller(Generic[T]):
 
 
 class SharedMemory:
-    """Memory that other processes can map. The system frees it with the last process that holds it."""
+    """Memory that other processes can map. The system frees it after the last process."""
 
     def __init__(self, size: int) -> None:
         import mmap
@@ -471,7 +470,7 @@ class SharedMemory:
 
     @staticmethod
     def receive(one: Any, size: int) -> Any:
-        """Receive the memory from `send`: a writable buffer, mapped while something refers to it."""
+        """Receive the memory from `send`: a writable buffer, mapped as long as it is referenced."""
         import mmap
         from multiprocessing import reduction
 

@@ -119,14 +119,14 @@ def test_numbers_that_json_lacks_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["..", "../x", ".", "", "/etc/passwd", "a/../../x"])
 def test_path_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(UsageError, match="leads out of"):
+    with pytest.raises(UsageError, match="leads outside of"):
         below(tmp_path, name)
 
 
 def test_link_that_leads_out_is_refused(tmp_path: Path) -> None:
     (tmp_path / "root").mkdir()
     (tmp_path / "root" / "link").symlink_to(tmp_path)
-    with pytest.raises(UsageError, match="leads out of"):
+    with pytest.raises(UsageError, match="leads outside of"):
         below(tmp_path / "root", "link")
     assert below(tmp_path / "root", "plain") == tmp_path / "root" / "plain"
 

@@ -1,4 +1,4 @@
-"""Runs a policy that karolos exported as a bundle on a robot. It needs numpy and PyYAML only."""
+"""Runs a policy, exported by karolos as a bundle, on a robot. It needs only numpy and PyYAML."""
 
 from .bundle import Bundle, BundleError
 from .executor import Executor

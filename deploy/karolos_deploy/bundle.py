@@ -19,7 +19,7 @@ FORMAT = 1
 """Version of a bundle's layout."""
 SUMS = "SHA256SUMS"
 TOLERANCE = 1e-4
-"""How far a golden action or observation may be away: sums of float32 numbers in another order."""
+"""Largest allowed difference from a golden action or observation: float32 sums in another order differ."""
 
 Policy = Callable[[Any, Any], Any]
 
@@ -36,10 +36,10 @@ class Bundle:
         onnx: whether onnxruntime runs policy.onnx; otherwise numpy runs policy.npz.
 
     Attributes:
-        contract: what policy.yaml says under `karolos`.
+        contract: the content of policy.yaml under `karolos`.
 
     Raises:
-        BundleError: a file is missing or changed, the format is another one, or the policy does not act as recorded.
+        BundleError: a file is missing or changed, the format differs, or the policy does not act as recorded.
     """
 
     def __init__(self, folder: str | PathLike[str], *, onnx: bool = False) -> None:
@@ -62,9 +62,9 @@ class Bundle:
             return dict(file)
 
     def replay_episode(self) -> int:
-        """Build each observation of the logged episode from its readings, and act, without a robot; the steps.
+        """Build each observation of the logged episode from its readings, and act, without a robot. Returns the steps.
 
-        Raises BundleError where observation or action is not the recorded one.
+        Raises BundleError if an observation or action is not the recorded one.
         """
         logged, observer = self.episode(), Observer({**self.contract, "wrench": {"filter": 0.0}})  # logged after it
         for step, time in enumerate(logged["time"]):
@@ -94,7 +94,7 @@ class Bundle:
 
 
 def check_sums(folder: Path) -> None:
-    """Raise BundleError for a file of the bundle that is missing or changed, or that its list does not name."""
+    """Raise BundleError if a file of the bundle is missing, changed, or not in its list."""
     try:
         lines = (folder / SUMS).read_text(encoding="utf-8").splitlines()
         listed = {name: digest for digest, name in (line.split("  ", 1) for line in lines)}

@@ -1,4 +1,4 @@
-"""`karolos-deploy BUNDLE --driver NAME`: checks a bundle, shows what it would do, and with --move does it."""
+"""`karolos-deploy BUNDLE --driver NAME`: checks a bundle and shows its actions; with --move it moves the robot."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from .faults import Fault
 REFUSED, STOPPED = 2, 3
 """Exit codes: nothing was moved; the robot was stopped."""
 SHOWN = 12
-"""Actions that the dry run shows."""
+"""Number of actions that the dry run shows."""
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run the command; the exit code."""
+    """Run the command; returns the exit code."""
     parser = argparse.ArgumentParser(prog="karolos-deploy", description="Run a karolos bundle on a robot.")
     parser.add_argument("bundle", type=Path, help="folder that `karolos export RUN --bundle` wrote")
     parser.add_argument("--driver", default="simulation", help="simulation, ur, franka, or one that a package installs")

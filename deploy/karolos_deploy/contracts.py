@@ -1,11 +1,11 @@
-"""What every driver promises, for the tests of its author:
+"""The promises of every driver, for the tests of its author:
 
     from karolos_deploy.contracts import check
 
     def test_it_keeps_what_every_driver_promises(bundle):
         check("my_driver", bundle, {"host": "127.0.0.1"}, lose=lambda driver: driver.client.unplug())
 
-The robot moves: by a few degrees or 2 cm. It must stand at the start pose of the bundle, as for an episode.
+The robot moves by a few degrees or 2 cm. It must stand at the start pose of the bundle, as for an episode.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ RATE = 125.0
 JOINT_ERROR, TOOL_ERROR = 0.02, 0.01
 """Largest difference, in rad and in m, of a robot at rest from the last set point."""
 STANDSTILL = 0.005
-"""rad by which the joints of a robot that stands may differ between readings."""
+"""Largest difference in rad between joint readings of a robot at rest."""
 LATE = 0.5
-"""Seconds that readings may be old: a busy computer breaks no promise."""
+"""Largest age of readings in s. A busy computer does not break a promise."""
 BRAKING = 1.0
-"""Seconds in which a robot comes to rest after `stop`."""
+"""Time in s in which a robot must come to rest after `stop`."""
 
 
 @dataclass
 class Case:
-    """A driver that is checked. `read` and `sent` record what passed it since `connected`."""
+    """A checked driver. `read` and `sent` record its readings and set points since `connected`."""
 
     name: str
     bundle: Bundle
@@ -57,7 +57,7 @@ class Case:
 
     @contextmanager
     def connected(self, act: Callable[[int], float]) -> Iterator[tuple[Driver, Executor]]:
-        """A connected driver, and an executor whose policy moves the first column by `act` of the number of actions."""
+        """A connected driver, and an executor. Its policy moves the first column by `act(number of actions)`."""
         bundle, actions = copy.copy(self.bundle), 0
 
         def policy(_observation: Any, _goal: Any) -> Any:
@@ -91,7 +91,7 @@ class Case:
             driver.close()
 
     def watched(self, driver: Driver, seconds: float) -> Reading:
-        """The last reading after so many seconds in which nothing is sent."""
+        """The last reading after these seconds, in which nothing is sent."""
         until = driver.now() + seconds
         while driver.now() < until:
             driver.wait(driver.now() + 1 / RATE)
@@ -115,7 +115,7 @@ def unknown_settings_are_refused(case: Case) -> None:
 
 
 def another_robot_is_refused(case: Case) -> None:
-    """The executor, or the driver by its forward kinematics, refuses a robot that the policy was not trained for."""
+    """The executor, or the driver by its forward kinematics, refuses a robot for which the policy was not trained."""
     other = copy.copy(case.bundle)
     other.contract = copy.deepcopy(case.bundle.contract)
     other.contract["robot"]["name"] = "another"
@@ -133,7 +133,7 @@ def another_robot_is_refused(case: Case) -> None:
 
 
 def readings_are_whole_and_new(case: Case) -> None:
-    """Without `move` readings have new stamps, all numbers, and come at the policy's rate; the robot stands."""
+    """Without `move` readings are complete, have new times and come at the policy's rate; the robot stands still."""
     with case.connected(lambda _: 1.0) as (driver, executor):
         steps = round(executor.bundle.contract["control"]["rate"] / 2)
         executor.run(0, move=False, steps=steps)  # a reading with a fault ends it
@@ -152,7 +152,7 @@ def readings_are_whole_and_new(case: Case) -> None:
 
 
 def the_clock_goes_on(case: Case) -> None:
-    """`wait` returns when `now` is the time that was asked for."""
+    """`wait` returns when `now` is the requested time."""
     with case.connected(lambda _: 0.0) as (driver, _):
         driver.begin(0, move=False)
         for _ in range(10):
@@ -163,7 +163,7 @@ def the_clock_goes_on(case: Case) -> None:
 
 
 def set_points_are_followed(case: Case) -> None:
-    """The robot comes to where the last set points were."""
+    """The robot comes to rest at the last set point."""
     with case.connected(lambda step: 0.2 * (step < 5)) as (driver, executor):
         executor.run(0, steps=5 + round(executor.bundle.contract["control"]["rate"]))
         there, point, chain = case.read[-1].positions, case.sent[-1], executor.bundle.chain
@@ -200,7 +200,7 @@ def nothing_moves_after_stop(case: Case) -> None:
 
 
 def a_lost_connection_is_a_fault(case: Case) -> None:
-    """A connection that is lost is a Fault within two seconds. Then `stop` and `close` do not raise."""
+    """A lost connection is a Fault within two seconds. After it `stop` and `close` do not raise."""
     lost = []
 
     def act(step: int) -> float:
@@ -223,7 +223,7 @@ def a_lost_connection_is_a_fault(case: Case) -> None:
 
 
 def stop_and_close_never_raise(case: Case) -> None:
-    """`stop` and `close` do not raise: before `connect`, and when they are called again."""
+    """`stop` and `close` do not raise, even before `connect` or in a second call."""
     driver = case.made()
     for _ in range(2):
         driver.stop()
@@ -240,7 +240,7 @@ PROMISES = (
     nothing_moves_after_stop,
     a_lost_connection_is_a_fault,
 )
-"""All of them. Each raises AssertionError with one line."""
+"""All promises. Each raises AssertionError with one line."""
 
 
 def check(name: str, bundle: Path, settings: Mapping[str, str], *, lose: Callable[[Any], object]) -> None:
@@ -250,10 +250,10 @@ def check(name: str, bundle: Path, settings: Mapping[str, str], *, lose: Callabl
         name: of the driver.
         bundle: folder of a bundle for its robot. One of the task reach needs no cameras.
         settings: of the driver, by name.
-        lose: cuts the connection of the driver that it gets, as a cable that is pulled.
+        lose: function that cuts a driver's connection, like a pulled cable.
 
     Raises:
-        AssertionError: promises are broken: a line for each.
+        AssertionError: promises are broken; one line for each.
     """
     case, broken = Case(name, Bundle(bundle), settings, lose), []
     for promise in PROMISES:
@@ -261,7 +261,7 @@ def check(name: str, bundle: Path, settings: Mapping[str, str], *, lose: Callabl
             promise(case)
         except (AssertionError, Fault, BundleError) as error:
             broken.append(f"{promise.__name__}: {error}")
-        except Exception as error:  # a driver may raise anything; the traceback shows its author where
+        except Exception as error:  # a driver may raise anything; the traceback shows the place
             traceback.print_exception(error)
             broken.append(f"{promise.__name__}: {type(error).__name__}: {error}")
     demand(not broken, "\n".join(broken))

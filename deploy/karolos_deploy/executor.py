@@ -1,4 +1,4 @@
-"""The executor: reads the robot, acts at the policy's rate, and sends set points at the robot's, or stops."""
+"""The executor: reads the robot, acts at the policy's rate, sends set points at the robot's rate, stops at faults."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ from .motion import Motion
 from .readings import Observer, Reading, SetPoint
 
 PATIENCE = 5.0
-"""Seconds in which the first reading must come."""
+"""Time in s in which the first reading must come."""
 
 
 @dataclass
 class Outcome:
-    """How an episode went."""
+    """The outcome of an episode."""
 
     steps: int = 0
-    """Actions of the policy."""
+    """Number of actions of the policy."""
     success: bool | None = None
-    """None: the driver does not know."""
+    """Whether it succeeded; None: the driver does not know."""
     cycles: list[float] = field(default_factory=list)
-    """Seconds that each cycle computed."""
+    """Computing time of each cycle in s."""
     actions: list[Array] = field(default_factory=list)
 
     @property
     def slowest(self) -> float:
-        """99 of 100 cycles took no longer, s."""
+        """Computing time in s that 99 % of the cycles do not exceed."""
         return float(np.quantile(self.cycles, 0.99)) if self.cycles else 0.0
 
 
@@ -48,7 +48,7 @@ class Executor:
         bundle: the policy and its contract.
         driver: connected or not; `connect` is called by `check`.
         rate: set points per second.
-        log: file to write every cycle to; None: none.
+        log: file for every cycle; None: no log.
     """
 
     def __init__(self, bundle: Bundle, driver: Driver, *, rate: float, log: Path | None = None) -> None:
@@ -61,7 +61,7 @@ class Executor:
         self._log = Log(log, bundle, rate) if log is not None else None
 
     def check(self) -> None:
-        """Connect, and raise Fault if this is not the robot that the policy was trained for."""
+        """Connect, and raise Fault if the policy was not trained for this robot."""
         Watch(self.bundle.contract, self.late).identity(self.driver.connect(), self.bundle.contract)
 
     def run(
@@ -71,9 +71,9 @@ class Executor:
 
         Args:
             episode: number of the episode, for drivers that reset something.
-            goal: desired goal (g,); None: the driver's, or else that of the logged episode.
+            goal: desired goal (g,); None: the driver's goal, or that of the logged episode.
             move: whether to send set points; otherwise the policy acts, and nothing is sent.
-            steps: actions of the policy; None: as many as an episode of training has.
+            steps: number of actions of the policy; None: as in an episode of training.
 
         Raises:
             Fault: the robot was stopped; no set point was sent after the fault.
@@ -83,7 +83,7 @@ class Executor:
         try:
             told = self.driver.begin(episode, move=move)
             wanted = self._goal(told if goal is None else goal)
-            gc.disable()  # a collection takes longer than a cycle
+            gc.disable()  # a garbage collection takes longer than a cycle
             self._run(outcome, wanted, move, steps or self.bundle.contract["episode"]["steps"])
             outcome.success = self.driver.outcome()
         finally:
@@ -110,7 +110,7 @@ class Executor:
             if reading is not None and watch.look(reading, self.driver.now()):
                 return reading
             self.driver.wait(self.driver.now() + 1 / self.rate)
-        raise Fault("late reading", f"the robot told nothing for {PATIENCE:g} s")
+        raise Fault("late reading", f"no reading came from the robot for {PATIENCE:g} s")
 
     def _run(self, outcome: Outcome, goal: Array, move: bool, steps: int) -> None:
         bundle, driver = self.bundle, self.driver
@@ -153,11 +153,11 @@ class Executor:
 
 
 class Log:
-    """A file with every cycle: one line of JSON that names the columns, then rows of float64.
+    """A log of every cycle: one line of JSON with the names of the columns, then rows of float64.
 
     Args:
         path: of the file.
-        bundle: whose cycles they are.
+        bundle: the executed bundle.
         rate: of the robot.
     """
 
@@ -181,7 +181,7 @@ class Log:
         self._file.write(np.array([*row, reading.opening, *seen, *sent]).tobytes())
 
     def flush(self) -> None:
-        """Hand what was written to the system."""
+        """Flush the written rows to the system."""
         self._file.flush()
 
 
@@ -196,10 +196,10 @@ def read_log(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 class Replay(Driver):
-    """A driver that reads a log instead of a robot, and compares what would be sent with what was.
+    """A driver that reads a log in place of a robot, and compares its set points with the logged ones.
 
     Args:
-        bundle: that the log is of.
+        bundle: of the log.
         path: of the log.
     """
 
@@ -211,7 +211,7 @@ class Replay(Driver):
         starts = np.flatnonzero(np.diff(self.columns["step"][:, 0], prepend=np.inf) < 0)
         self.episodes = list(zip(starts.tolist(), [*starts[1:].tolist(), len(self.columns["step"])], strict=True))
         self.error = 0.0
-        """Largest difference so far."""
+        """Largest difference of set points so far."""
 
     def connect(self) -> dict[str, Any]:
         return {}
@@ -250,9 +250,9 @@ class Replay(Driver):
 
 
 def replay(bundle: Bundle, path: Path) -> tuple[int, float]:
-    """Run a log again: the cycles, and the largest difference of a set point from what was sent, in rad or m."""
+    """Replay a log. Returns the cycles, and the largest difference of a set point from the log, in rad or m."""
     driver = Replay(bundle, path)
     for episode in range(len(driver.episodes)):
-        with suppress(EOFError):  # the log ends before the episode would
+        with suppress(EOFError):  # the log ends before the episode
             Executor(bundle, driver, rate=driver.head["rate"]).run(episode)
     return len(driver.columns["step"]), driver.error

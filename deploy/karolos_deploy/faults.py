@@ -1,4 +1,4 @@
-"""What stops a robot: each fault is one line. `Watch` looks for faults in every reading."""
+"""Faults, which stop a robot: each is one line. `Watch` looks for faults in every reading."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ from .kinematics import Configuration
 from .readings import RUNNING, Reading
 
 BOX_MARGIN = 0.03
-"""m that the tool may be outside of the workspace: it overshoots where it brakes."""
+"""Distance in m by which the tool may leave the workspace: it overshoots when it brakes."""
 JOINT_MARGIN = 0.05
-"""rad that a joint may be beyond its limit."""
+"""Angle in rad by which a joint may exceed its limit."""
 SEEN_JUMP, JOINT_JUMP = 0.15, 0.05
-"""Largest jump of what is measured in m, and of a joint in rad beyond what its speed explains."""
+"""Largest jump of a measured position in m, and of a joint in rad beyond the way that its speed explains."""
 
 
 class Fault(Exception):  # noqa: N818  (the word of those who work with robots)
     """A reason to stop.
 
     Args:
-        kind: in two or three words.
-        what: what was found, in one line.
+        kind: of the fault, in two or three words.
+        what: description, in one line.
     """
 
     def __init__(self, kind: str, what: str) -> None:
@@ -32,7 +32,7 @@ class Fault(Exception):  # noqa: N818  (the word of those who work with robots)
 
 
 class Watch:
-    """Looks for faults in readings, and raises the first.
+    """Looks for faults in readings, and raises the first one.
 
     Args:
         contract: of the bundle.
@@ -53,9 +53,9 @@ class Watch:
         self._news = 0.0
 
     def identity(self, robot: Mapping[str, Any], contract: Mapping[str, Any]) -> None:
-        """Raise Fault if a driver is connected to another robot, gripper or payload than the policy was trained for.
+        """Raise Fault if a driver is connected to a robot, gripper or payload for which the policy was not trained.
 
-        What a driver cannot tell is left out of `robot`.
+        `robot` leaves out facts that the driver does not know.
         """
         for key in ("name", "gripper", "joints"):
             wanted = len(self._names) if key == "joints" else contract["robot"][key]
@@ -69,7 +69,7 @@ class Watch:
             )
 
     def start(self, reading: Reading, contract: Mapping[str, Any]) -> None:
-        """Raise Fault if the robot does not stand where episodes begin."""
+        """Raise Fault if the robot is not at the start pose of episodes."""
         low, high = np.array(contract["start"])
         for name, value, least, most in zip(self._names, reading.positions, low, high, strict=True):
             if not least - 0.1 <= value <= most + 0.1:
@@ -78,10 +78,10 @@ class Watch:
                 )
 
     def look(self, reading: Reading | None, now: float) -> bool:
-        """Raise Fault for a reading that must not be acted on.
+        """Raise Fault for a reading on which the policy must not act.
 
         Args:
-            reading: the newest that the driver has; None: nothing since the last call.
+            reading: the driver's newest one; None: no new one since the last call.
             now: of the executor's clock in s.
 
         Returns:
@@ -109,7 +109,7 @@ class Watch:
         return True
 
     def tool(self, at: Configuration, wrench: np.ndarray[Any, np.dtype[np.float64]]) -> None:
-        """Raise Fault for a tool that is outside of the workspace, or pressed on too hard."""
+        """Raise Fault if the tool is outside of the workspace, or the force on it is too large."""
         if self._box is not None:
             low, high = self._box
             if (at.position < low - BOX_MARGIN).any() or (at.position > high + BOX_MARGIN).any():
@@ -122,7 +122,7 @@ class Watch:
     def _finite(self, reading: Reading) -> None:
         for name in self._measured:
             if name not in reading.measured:
-                raise Fault("not measured", f"no camera or fixture tells {name}, which the policy observes")
+                raise Fault("not measured", f"no camera or fixture gives {name}, which the policy observes")
         numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
         numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time]), **reading.measured}
         for name, values in numbers.items():
@@ -141,7 +141,7 @@ class Watch:
         way = np.abs(reading.positions - before.positions) - self._speed * passed * 1.2
         if way.max() > JOINT_JUMP:
             joint = int(way.argmax())
-            raise Fault("jump", f"joint {self._names[joint]} moved faster than it can, by {way[joint]:.3f} rad")
+            raise Fault("jump", f"joint {self._names[joint]} moved by {way[joint]:.3f} rad, faster than it can")
         for name, values in reading.measured.items():
             if self._columns[name][1] == "m" and name in before.measured:
                 far = float(np.linalg.norm(np.subtract(values, before.measured[name])))

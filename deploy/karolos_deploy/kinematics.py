@@ -41,9 +41,9 @@ class Configuration:
     """A chain at given joint positions."""
 
     position: Array
-    """Of the tool (3,)."""
+    """Position of the tool (3,)."""
     rotation: Array
-    """Of the tool; its columns are the axes of the tool's frame."""
+    """Rotation of the tool; its columns are the axes of the tool's frame."""
     jacobian: Array
     """(6, n): velocity of the tool in m/s, then its angular velocity in rad/s, per rad/s of each joint."""
 
@@ -91,7 +91,7 @@ class Chain:
     def step(self, at: Configuration, position: Array, rotation: Array, posture: Array) -> Array:
         """Change of the joints (n,) that moves the tool towards a pose: one step of damped least squares.
 
-        `posture` (n,) is the change that is preferred; it is projected into the null space of the tool's motion.
+        `posture` (n,) is the preferred change. It is projected into the null space of the tool's motion.
         """
         (_, b, c), (d, _, f), (g, h, _) = (rotation @ at.rotation.T).tolist()
         error = np.array([*(position - at.position).tolist(), (h - f) / 2, (c - g) / 2, (d - b) / 2])

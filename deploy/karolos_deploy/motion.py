@@ -1,7 +1,7 @@
-"""From a policy's actions to set points at the robot's rate: what karolos' control modes do, within the robot's limits.
+"""Turns a policy's actions into set points at the robot's rate, like karolos' control modes, within the robot's limits.
 
-In training a control step is a linear ramp of joint speeds. Here the ramp is a path of set points. What the robot is
-told follows it within its limits of speed, acceleration and jerk.
+In training a control step is a linear ramp of joint speeds. Here the ramp is a path of set points. The commands to the
+robot follow it within its limits of speed, acceleration and jerk.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from .kinematics import Array, Chain, Configuration, Orientations, turn_of, turn
 from .readings import SetPoint
 
 SPEED_SHARE, TOOL_SPEED_SHARE = 0.97, 0.98
-"""Fractions of the largest speeds of joints and tool at which they move steadily, as in training."""
+"""Fractions of the largest speeds of joints and tool in steady motion, as in training."""
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range."""
 LAG, LAG_TIME = 0.015, 0.04
-"""A path begins at most so many rad, and what its speed makes in so many s, away from where the joint was read."""
+"""Largest distance of the start of a path from the read joint: this angle in rad, plus its way in this time in s."""
 JERK_TIME = 0.004
-"""Seconds in which a joint reaches its largest acceleration."""
+"""Time in s in which a joint reaches its largest acceleration."""
 CATCH_UP = 0.05
-"""Time constant, in s, with which set points come back to the path that limits made them leave."""
+"""Time constant, in s, with which set points return to the path after limits."""
 
 
 class Motion:
@@ -32,7 +32,7 @@ class Motion:
     Args:
         contract: of the bundle.
         chain: of the arm.
-        share: fraction of the joints' accelerations that is used.
+        share: used fraction of the joints' accelerations.
     """
 
     def __init__(self, contract: Mapping[str, Any], chain: Chain, share: float = 1.0) -> None:
@@ -52,12 +52,12 @@ class Motion:
         self._spring = self.control.get("spring")
 
     def reset(self, positions: Array, at: Configuration) -> None:
-        """Begin an episode at rest, with the joints where they were read."""
+        """Begin an episode at rest, with the joints at their read positions."""
         self.positions, self.velocities = positions.copy(), np.zeros_like(positions)
-        """What the robot was told last."""
+        """The last command to the robot."""
         self._accelerations = np.zeros_like(positions)
         self._place, self._rotation = at.position, at.rotation
-        """Of the spring's set point."""
+        """Position and rotation of the spring's set point."""
         self._begin = 0.0
         self._from = self._to = self.velocities
         self._anchor = self.positions
@@ -65,7 +65,7 @@ class Motion:
         self._opening = 1.0 if self._gripper else None
 
     def set_point_from(self, at: Configuration) -> Array:
-        """What is observed of a spring's set point: the way from the tool to it (6,), m and rad."""
+        """The observation of a spring's set point: the way from the tool to it (6,), m and rad."""
         if self._spring is None:
             return np.zeros(6)
         shift, turn = self._place - at.position, turn_of(self._rotation @ at.rotation.T)
@@ -74,7 +74,7 @@ class Motion:
         )
 
     def plan(self, action: Array, positions: Array, at: Configuration, now: float) -> None:
-        """Take in an action (a,), in [-1, 1], at the beginning of a control step.
+        """Accept an action (a,), in [-1, 1], at the beginning of a control step.
 
         Args:
             action: of the policy.
@@ -92,7 +92,7 @@ class Motion:
         room = LAG + LAG_TIME * np.abs(self.velocities)
         self._anchor = np.clip(self.positions, positions - room, positions + room)
         self._from = self.velocities.copy()
-        there = self.chain.at(self._anchor)  # a reading is late, and what the robot was told is not
+        there = self.chain.at(self._anchor)  # a reading is late, the last command is not
         self._to = self._ramp(self._anchor, self._changes(values, self._anchor, there))
 
     def at(self, now: float, cycle: float) -> SetPoint:
@@ -113,7 +113,7 @@ class Motion:
         return SetPoint(self.positions, self.velocities, opening=self._opening)
 
     def _follow(self, path: Array, speed: Array, cycle: float) -> None:
-        """Move what the robot is told towards a path, within speed, acceleration and jerk."""
+        """Move the command towards a path, within speed, acceleration and jerk."""
         wanted = np.clip(speed + (path - cycle * speed - self.positions) / CATCH_UP, -self.speed, self.speed)
         jerk = self.acceleration / JERK_TIME * cycle
         change = np.clip((wanted - self.velocities) / cycle, self._accelerations - jerk, self._accelerations + jerk)
@@ -178,7 +178,7 @@ class Motion:
         return self._inside(place + shift, lowest), self._turns.nearest(turned_by(turn) @ rotation)
 
     def _inside(self, place: Array, lowest: float) -> Array:
-        """The place in the workspace, and not lower than `lowest`, that is nearest."""
+        """The nearest place in the workspace that is not below `lowest`."""
         found: Array = np.clip(place, [*self.low[:2], lowest], self.high)
         return found
 

@@ -1,4 +1,4 @@
-"""Reads and runs an exported policy.npz. It needs only numpy, so this file can be copied to where it is used."""
+"""Reads and runs an exported policy.npz. It needs only numpy, so this file can be copied to any place."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ class NumpyPolicy:
             self.shift: NDArray[np.float32] = file["shift"]
             self.scale: NDArray[np.float32] = file["scale"]
             self.missing: NDArray[np.int64] = file["missing"]
-            """(2, k): columns of the goal, and those of the observation that hold what is achieved of them."""
+            """(2, k): columns of the goal, and columns of the observation with their achieved values."""
             self.clip = float(file["clip"])
             self.epsilon = float(file["layer_norm"])
             """Added to the variance in layer normalisation; nan if hidden layers are not normalised."""
             self.output = str(file["output"])
-            """tanh, clip or argmax."""
+            """How outputs become actions: tanh, clip or argmax."""
             self.layers: list[tuple[NDArray[np.float32], NDArray[np.float32]]] = [
                 (file[f"weight{place}"], file[f"bias{place}"]) for place in range(int(file["layers"]))
             ]
@@ -47,7 +47,7 @@ class NumpyPolicy:
             (a,) or (n, a), float32 in [-1, 1]; for a discrete set the index, () or (n,), int64.
 
         Raises:
-            ValueError: a number is nan or infinite; the number of inputs is not the one that the policy takes, or
+            ValueError: a number is nan or infinite; the number of inputs is not that of the policy, or
                 observation or goal lacks a column of `missing`. The file does not say how many of them are the goal.
         """
         parts = [np.asarray(observation, np.float32), np.asarray(desired_goal, np.float32)]

@@ -1,4 +1,4 @@
-"""What passes between executor and robot: readings, set points, and the observation that a policy gets of a reading."""
+"""Data between executor and robot: readings, set points, and the observation that a policy gets from a reading."""
 
 from __future__ import annotations
 
@@ -16,44 +16,44 @@ RUNNING = "running"
 
 @dataclass(frozen=True)
 class Reading:
-    """What a robot and its sensors say at one time."""
+    """The data of a robot and its sensors at one time."""
 
     time: float
-    """Of the robot's clock in s."""
+    """Time of the robot's clock in s."""
     positions: Array
-    """Of the joints (n,) in rad."""
+    """Joint positions (n,) in rad."""
     velocities: Array
-    """Of the joints (n,) in rad/s."""
+    """Joint velocities (n,) in rad/s."""
     wrench: Array
-    """What presses on the tool: force in N and torque in N m (6,) at the tool centre point, in the tool's frame. The
-    weight of the gripper is not in it."""
+    """Contact wrench on the tool: force in N and torque in N m (6,) at the tool centre point, in the tool's frame,
+    without the weight of the gripper."""
     opening: float = 0.0
-    """Of the gripper: 0 closed, 1 open."""
+    """Opening of the gripper: 0 closed, 1 open."""
     measured: Mapping[str, Array] = field(default_factory=dict)
-    """What cameras and fixtures say, by the name of the field."""
+    """Values of cameras and fixtures, by the name of the field."""
     state: str = RUNNING
-    """Else why the robot does not move, such as "protective stop"."""
+    """State of the robot: RUNNING, or why it does not move, such as "protective stop"."""
 
 
 @dataclass(frozen=True)
 class SetPoint:
-    """Where the robot shall be at the end of a cycle: joints, or the set point of a spring at the tool."""
+    """Target of the robot at the end of a cycle: joints, or the set point of a spring at the tool."""
 
     positions: Array | None = None
-    """Of the joints (n,) in rad."""
+    """Joint positions (n,) in rad."""
     velocities: Array | None = None
-    """Of the joints (n,) in rad/s."""
+    """Joint velocities (n,) in rad/s."""
     place: Array | None = None
-    """Of the spring (3,) in m."""
+    """Position of the spring's set point (3,) in m."""
     rotation: Array | None = None
-    """Of the spring (3, 3)."""
+    """Rotation of the spring's set point (3, 3)."""
     velocity: Array | None = None
-    """Of the spring: m/s, then rad/s (6,)."""
+    """Velocity of the spring's set point: m/s, then rad/s (6,)."""
     opening: float | None = None
-    """Of the gripper; None: the policy does not move it."""
+    """Opening of the gripper; None: the policy does not move it."""
 
     def row(self) -> list[float]:
-        """For a log: 12 numbers or 2 n, then the opening."""
+        """Numbers for a log: 12 or 2 n, then the opening."""
         opening = np.nan if self.opening is None else self.opening
         if self.positions is not None and self.velocities is not None:
             return [*self.positions.tolist(), *self.velocities.tolist(), opening]
@@ -77,18 +77,18 @@ class Observer:
 
     @property
     def measured(self) -> list[str]:
-        """Names of the fields that a reading must hold as `measured`."""
+        """Names of the fields that a reading must have in `measured`."""
         return [one["name"] for one in self.fields if one["formula"] == "measured"]
 
     def reset(self) -> None:
         """Begin an episode."""
         self.wrench = np.zeros(6)
-        """Low-passed."""
+        """Low-passed wrench."""
         self.overloaded = False
         self._time: float | None = None
 
     def feel(self, reading: Reading) -> None:
-        """Take in the wrench of a reading; called once per reading, at the robot's rate."""
+        """Filter the wrench of a reading. Called once per reading, at the robot's rate."""
         passed = reading.time - self._time if self._time is not None else 0.0
         self._time = reading.time
         share = 1 - np.exp(-passed / self._tau) if self._tau else 1.0

@@ -1,4 +1,4 @@
-"""Films of the gallery: docs/films/<spec>.gif, of each policy that ships.
+"""Films of gallery and home page: docs/films/<name>.gif, of each shipped policy and of GUESTS.
 
 python docs/_scripts/films.py [NAME...]   make these films, or all
 """
@@ -13,32 +13,46 @@ from PIL import Image
 
 from karolos.evaluation.changed_spec import load_player
 from karolos.evaluation.playing import play
+from karolos.evaluation.policies import load_expert
 from karolos.records import RunFolder, shipped
 from karolos.report.video import pictures_per_second, with_caption, write_gif
+from karolos.specification import load_spec
 
 FILMS = Path(__file__).parents[1] / "films"
+DESK_ARM = FILMS.parents[1] / "examples" / "karolos-desk-arm" / "src" / "karolos_desk_arm" / "desk_arm.urdf"
+GUESTS = {
+    "panda_reach_pose": None,
+    "desk_arm_pick": ("ur5_pick", f"robot={{name: urdf, file: {DESK_ARM}}}"),
+    "random_arm_open": ("panda_open", "robot={name: random_arm, arm: 3}"),
+}
+"""Film -> a shipped policy and the arm that it never saw; None: the expert of the spec of this name."""
 SIZE = (320, 240)
 HOLD, EPISODES, COLOURS = 16, 2, 192
 """Pictures of the end of an episode, episodes, colours."""
 
 
 def sha256(name: str) -> str:
-    """Of a policy that ships, in hexadecimal digits."""
+    """SHA-256 of a shipped policy, in hexadecimal digits."""
     return hashlib.sha256((shipped.FOLDER / name / "policy.npz").read_bytes()).hexdigest()
 
 
 def played_in(film: Path) -> str:
-    """The sha256 of the policy.npz that plays in a film, as its comment says."""
+    """The sha256 of the policy.npz that plays in a film, from its comment."""
     return Image.open(film).info["comment"].decode().removeprefix("policy ")
 
 
 def make(name: str) -> Path:
-    """Film the test episodes of a policy that ships."""
-    player = load_player(RunFolder.open(shipped.FOLDER / name))
-    environment = player.environment
+    """Film test episodes of a shipped policy, or of a guest."""
+    policy, *overrides = GUESTS.get(name, (name,)) or ("",)
+    if policy:
+        player = load_player(RunFolder.open(shipped.FOLDER / policy), overrides=overrides)
+        environment, acting, spec = player.environment, player.policy, player.spec
+    else:
+        spec = load_spec(name)
+        environment, acting = load_expert(spec)
     pictures, rate = [], pictures_per_second(environment)
     try:
-        for moment in play(environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed):
+        for moment in play(environment, acting, episodes=EPISODES, seed=spec.testing.seed):
             text, failed = "success" if moment.success else "", moment.over and not moment.success
             for picture in environment.film(round(rate / environment.rate) if moment.step else 1, *SIZE):
                 pictures.append(with_caption(picture, text, success=moment.success, failed=failed))
@@ -47,11 +61,11 @@ def make(name: str) -> Path:
         environment.close()
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(name)}")
+    write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(policy)}" if policy else "expert")
     return film
 
 
 if __name__ == "__main__":
-    for one in sys.argv[1:] or shipped.shipped_names():
+    for one in sys.argv[1:] or (*shipped.shipped_names(), *GUESTS):
         path = make(one)
         print(f"{path.name}: {path.stat().st_size / 1000:.0f} kB")

@@ -48,6 +48,21 @@ TASKS = {
     "open": ("open",),
 }
 """Task -> its specs, without the robot."""
+WALL = {
+    "panda_reach": "reach",
+    "ur5_push": "push",
+    "panda_pick": "pick_place",
+    "iiwa_throw": "throw",
+    "ur5_insert": "insert",
+    "panda_stack_demos": "stack",
+    "iiwa_slide_demos": "slide",
+    "ur5_open": "open",
+    "panda_reorient_demos": "reorient",
+    "panda_reach_pose": "reach_pose (expert)",
+    "desk_arm_pick": "an arm from its URDF",
+    "random_arm_open": "a random arm",
+}
+"""Films of the home page with their captions: ten tasks, three arms, two foreign arms."""
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
 KIND_TEXTS = {
     "robots": "A robot with a task is an environment.",
@@ -75,6 +90,7 @@ def write(folder: Path) -> None:
     folder.mkdir(exist_ok=True)
     (folder / "gallery").mkdir(exist_ok=True)
     found |= gallery(folder / "gallery")
+    (folder / "wall.txt").write_text(wall(), encoding="utf-8")
     for name, text in found.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -322,6 +338,21 @@ def gallery(folder: Path) -> dict[str, str]:
     listed = "\n".join(Path(name).stem for name in pages)
     pages["gallery/index.md"] = f"{overview}\n```{{toctree}}\n:hidden:\n\n{listed}\n```\n"
     return pages
+
+
+def wall() -> str:
+    """The films of the home page, each with a link to its page."""
+    text = "::::{grid} 2 3 4 4\n:gutter: 1\n:class-container: wall\n\n"
+    for film, caption in WALL.items():
+        robot, task = film.split("_")[0], caption.split(" ")[0]
+        page = f"generated/gallery/{robot}_{task}" if task in TASKS else "your_robot"
+        page = "generated/parts/tasks" if film == "panda_reach_pose" else page
+        arm = f"{robot}: " if "arm" not in film else ""
+        text += (
+            f":::{{grid-item-card}}\n:img-top: films/{film}.gif\n:img-alt: {film}\n:link: {page}\n:link-type: doc\n\n"
+            f"{arm}{caption}\n:::\n"
+        )
+    return f"{text}::::\n"
 
 
 def _labelled(name: str, one: Contender | None) -> str:

@@ -1,4 +1,4 @@
-"""Algorithms, one file each, with the losses, networks and optimisers they are made of."""
+"""Algorithms, one file each, and their common parts: losses, networks, optimisers."""
 
 from .inputs import Normaliser
 

@@ -19,11 +19,12 @@ from ..core.settings import LATER
 from ..errors import UsageError
 from .device import PRECISION_MEANS, Precision, uses_bfloat16
 from .inputs import TensorBatch
+from .joint_network import JointNetwork, JointShape
 from .layers import Tape
 from .networks import MLP, NetworkShape
 from .noise import Noise
 from .optimisation import Metrics
-from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
+from .torch_agent import Hidden, OptimiserSettings, TorchAgent, joint_columns, value_bounds
 
 GOLDEN = (5**0.5 - 1) / 2
 """The golden ratio, less 1."""
@@ -32,7 +33,9 @@ GOLDEN = (5**0.5 - 1) / 2
 class ActorCriticSettings(OptimiserSettings):
     """Settings of every agent with a policy of continuous actions and critics."""
 
-    discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
+    discount: float = Setting(
+        0.95, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+    )
     hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
     tau: float = Setting(0.05, gt=0, le=1, description="step of the target networks per update (Polyak averaging)")
     layer_norm: bool = Setting(False, description="layer normalisation in the critics: steadier, a little slower")
@@ -41,35 +44,46 @@ class ActorCriticSettings(OptimiserSettings):
     imitation: float = Setting(
         0.0,
         ge=0,
-        description="weight of the squared distance to demonstrated actions that the critics prefer; with "
-        "buffer.hindsight.imitate also to actions whose transition got a new goal",
+        description="weight of the squared distance to demonstrated actions, where the critics prefer these; with "
+        "buffer.hindsight.imitate also to actions of relabelled transitions",
     )
     cloning: bool = Setting(
         False,
-        description="behaviour cloning: the policy imitates all demonstrated actions, whatever the critics think, and "
-        "maximises no value",
+        description="behaviour cloning: the policy imitates all demonstrated actions and ignores the critics",
         json_schema_extra=LATER,
     )
     quiet: float = Setting(
         0.0,
         ge=0,
         le=1,
-        description="share of the environments in which training acts without noise and random actions; such episodes "
-        "show how precise the policy is",
+        description="share of the environments in which training acts without noise and without random actions; these "
+        "episodes show how precise the policy is",
         json_schema_extra=LATER,
     )
     policy_average: float = Setting(
         1.0,
         gt=0,
         le=1,
-        description="step, per policy update, of the average of the policy that acts in tests; 1: the policy itself",
+        description="tests use a moving average of the policy: its step per policy update; 1: the policy itself",
+    )
+    per_joint: bool = Setting(
+        False,
+        json_schema_extra=LATER,
+        description="networks that treat all joints alike, for policies of many arms: the first of `hidden` are units "
+        "for each joint, the others for all; in float32; it needs robot.joint_slots",
     )
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
     @model_validator(mode="after")
     def _cloning_imitates(self) -> Any:
         if self.cloning and not self.imitation:
-            raise ValueError("cloning needs imitation above 0, the weight of what it learns")
+            raise ValueError("cloning needs imitation above 0: this is the weight of the demonstrated actions")
+        return self
+
+    @model_validator(mode="after")
+    def _joints_have_units(self) -> Any:
+        if self.per_joint and len(self.hidden) < 2:
+            raise ValueError("per_joint needs two numbers in hidden: units for each joint, then units for all")
         return self
 
 
@@ -126,11 +140,11 @@ class ActorCritic(TorchAgent):
 
     on_policy: ClassVar[bool] = False
     critics_see_more: ClassVar[bool] = True
-    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm")
+    shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal", "layer_norm", "per_joint")
     arrays: ClassVar[int] = 16  # measured: 21 for SAC
     critics: ClassVar[int] = 2
     judges: ClassVar[int | None] = None
-    """How many of the critics judge the policy's actions; None: all."""
+    """Number of critics that judge the policy's actions; None: all."""
     policy_columns: ClassVar[int] = 1
     """Outputs of the policy network per action column."""
     critic_kind: Critic = Critic()
@@ -146,25 +160,44 @@ class ActorCritic(TorchAgent):
             )
         self.actions = actions = signature.action.size
         super().__init__(settings, signature, seeds, device)
-        bfloat16 = uses_bfloat16(settings.precision, device)
-        shape = NetworkShape((self.inputs, *settings.hidden, self.policy_columns * actions), bfloat16=bfloat16)
-        self.policy = MLP(shape, self.weights_generator, device)
+        self.policy, self.critic = self._networks(signature)
         self.average = self.policy
-        """Acts without exploration. An average over updates errs less than each policy in it (Polyak and Juditsky 1992,
-        "Acceleration of Stochastic Approximation by Averaging")."""
+        """The policy without exploration. An average over updates errs less than its policies (Polyak and Juditsky
+        1992, "Acceleration of Stochastic Approximation by Averaging")."""
         if settings.policy_average < 1:
             self.average = self.policy.copy()
             self.stored = (*self.stored, "average")
-        sizes = (self.inputs + self.critic_only + actions, *settings.hidden, self.critic_kind.columns)
-        shape = NetworkShape(sizes, members=self.critics, layer_norm=settings.layer_norm, bfloat16=bfloat16)
-        self.critic = MLP(shape, self.weights_generator, device)
         self.target = self.critic.copy()
         self.noise = Noise(settings.noise, self.inputs, actions, self.device)
         self.optimisers = {"policy": self.adam(self.policy.vector), "critic": self.adam(self.critic.vector)}
         self._bounds = value_bounds(signature, settings.discount, clip=settings.clip_targets)
 
+    def _networks(self, signature: Signature) -> tuple[MLP, MLP]:
+        """The policy and the critics, as the settings say."""
+        settings, generator, device = self.settings, self.weights_generator, str(self.device)
+        before = self.inputs + self.critic_only
+        sizes = (self.inputs, *settings.hidden, self.policy_columns * self.actions)
+        critic_sizes = (before + self.actions, *settings.hidden, self.critic_kind.columns)
+        more: dict[str, Any] = {"members": self.critics, "layer_norm": settings.layer_norm}
+        if not settings.per_joint:
+            bfloat16 = uses_bfloat16(settings.precision, device)
+            policy = MLP(NetworkShape(sizes, bfloat16=bfloat16), generator, device)
+            return policy, MLP(NetworkShape(critic_sizes, bfloat16=bfloat16, **more), generator, device)
+        seen, moved = joint_columns(signature.observation.acting), joint_columns(signature.action)
+        if not seen or len(seen) != len(moved):
+            what, hint = "observations and actions do not describe joints", "set robot.joint_slots, or per_joint: false"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
+        # of each joint the mean of its actions and, in SAC, the deviation
+        each = [
+            [part * self.actions + column for part in range(self.policy_columns) for column in row] for row in moved
+        ]
+        policy_shape = JointShape(sizes, joints=_frozen(seen), each=_frozen(each))
+        both = [[*row, *(before + column for column in action)] for row, action in zip(seen, moved, strict=True)]
+        critic_shape = JointShape(critic_sizes, joints=_frozen(both), each=((),) * len(seen), **more)
+        return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
+
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
-        """Raise a UsageError if it is to imitate and nothing shows how, or the reverse."""
+        """Raise a UsageError if the agent shall imitate without anything to imitate, or the reverse."""
         if self.settings.imitation == 0:
             super().check(buffer, demonstrations=demonstrations)
         elif not (demonstrations or buffer.marks_relabelled):
@@ -290,7 +323,14 @@ class ActorCritic(TorchAgent):
 
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
+        if self.settings.per_joint:
+            what, hint = "networks that treat joints alike have no file for use without karolos", "train without it"
+            raise UsageError(what, setting="agent.per_joint", hint=hint)
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
+
+
+def _frozen(table: list[list[int]]) -> tuple[tuple[int, ...], ...]:
+    return tuple(map(tuple, table))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:
@@ -312,12 +352,14 @@ class Quantiles(BaseSettings):
     """
 
     quantiles: int = Setting(25, ge=2, le=1000, description="quantiles of the return per critic")
-    drop: int = Setting(2, ge=0, description="largest quantiles per critic left out of targets, against overestimation")
+    drop: int = Setting(
+        2, ge=0, description="largest quantiles per critic that targets leave out, against overestimation"
+    )
 
     @model_validator(mode="after")
     def _some_stay(self) -> Quantiles:
         if self.drop >= self.quantiles:
-            raise ValueError(f"drop {self.drop} leaves nothing of {self.quantiles} quantiles")
+            raise ValueError(f"drop {self.drop} leaves none of {self.quantiles} quantiles: give a smaller one")
         return self
 
 

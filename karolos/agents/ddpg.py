@@ -17,7 +17,7 @@ from .optimisation import Metrics, report, saturation
 
 
 class DDPG(ActorCritic):
-    """A deterministic policy that maximises the value its critic gives to its actions.
+    """A deterministic policy that maximises the critic's value of its actions.
 
     Off-policy, continuous actions in [-1, 1]. By default it explores with Gaussian noise and some uniform actions, as
     in Plappert et al. 2018. The Ornstein-Uhlenbeck process of the paper is `noise: {kind: ornstein_uhlenbeck}`.
@@ -28,7 +28,7 @@ class DDPG(ActorCritic):
 
     class Settings(ActorCriticSettings):
         noise: ScaledNoiseSettings = Setting(default_factory=ScaledNoiseSettings, description="on exploring actions")
-        random_actions: float = Setting(0.3, ge=0, le=1, description="share of exploring actions drawn uniformly")
+        random_actions: float = Setting(0.3, ge=0, le=1, description="share of uniformly random exploring actions")
 
     learned: ClassVar[tuple[str, ...]] = ("policy", "critic", "target_policy", "target", "normaliser")
     stored: tuple[str, ...] = (*learned, "noise", "updates")
@@ -51,7 +51,7 @@ class DDPG(ActorCritic):
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update: targets, critics, and when it is their turn policy and target networks."""
+        """One update: targets and critics; in every `policy_delay`-th update also policy and target networks."""
         update = self.updates
         data = self.begin_update(batch, update)
         self.updates += 1

@@ -23,10 +23,10 @@ from .torch_agent import Hidden, OptimiserSettings, TorchAgent, value_bounds
 
 
 class DQN(TorchAgent):
-    """A network that gives the value of each discrete action, and the policy that takes the action of the largest.
+    """A network that predicts the value of each discrete action. The policy takes the action with the largest value.
 
-    Off-policy. Exploring actions are uniform with probability epsilon, drawn for each environment separately; epsilon
-    falls with the environment steps in which the agent explored. Observations and goals are normalised by running
+    Off-policy. Exploring actions are uniform with probability epsilon, sampled for each environment. Epsilon falls with
+    the environment steps in which the agent explored. Observations and goals are normalised by running
     statistics of the batches.
 
     Raises:
@@ -34,13 +34,17 @@ class DQN(TorchAgent):
     """
 
     class Settings(OptimiserSettings):
-        learning_rate: float = Setting(3e-4, gt=0, description="of the network (Adam)")
-        discount: float = Setting(0.99, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
+        learning_rate: float = Setting(3e-4, gt=0, description="learning rate of the network (Adam)")
+        discount: float = Setting(
+            0.99, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+        )
         hidden: Hidden = Setting((256, 256), description="units of each hidden layer")
         double_q: bool = Setting(True, description="the online network chooses the next action, not the target network")
         dueling: bool = Setting(False, description="separate outputs for the state's value and the actions' advantages")
         tau: float = Setting(0.005, gt=0, le=1, description="step of the target network each time it is updated")
-        target_interval: int = Setting(1, ge=1, description="updates between two of the target network; tau: 1 copies")
+        target_interval: int = Setting(
+            1, ge=1, description="updates of the network per update of the target network; tau: 1 copies it"
+        )
         epsilon_start: float = Setting(1.0, ge=0, le=1, description="share of random exploring actions at the start")
         epsilon_end: float = Setting(0.05, ge=0, le=1, description="share of random exploring actions at the end")
         epsilon_steps: int = Setting(5_000, ge=0, description="exploring environment steps until epsilon_end, linearly")
@@ -50,7 +54,7 @@ class DQN(TorchAgent):
             True, description="clip targets to the values that the declared reward range allows"
         )
         precision: Precision = Setting(
-            "float32", description="of matrix products while learning; the values of actions often differ by 1 %"
+            "float32", description="for matrix products while learning; the values of actions often differ by 1 %"
         )
 
         @model_validator(mode="after")
@@ -105,7 +109,7 @@ class DQN(TorchAgent):
 
     @torch.inference_mode()
     def learn(self, batch: Batch) -> Mapping[str, Any]:
-        """One update of the network, and of the target network when it is its turn."""
+        """One update of the network, and in every `target_interval`-th update of the target network."""
         update = self.updates
         data = self.begin_update(batch, update)
         self.updates += 1
@@ -167,5 +171,5 @@ class DQN(TorchAgent):
         return by_output.scatter_add_(1, index + 1, column)
 
     def deployed(self) -> Deployed:
-        """The action of the largest value, which with a dueling network is that of the largest advantage."""
+        """The action with the largest value. In a dueling network it has the largest advantage, too."""
         return self.policy_arrays(self.network, "argmax", slice(int(self.settings.dueling), None))

@@ -1,4 +1,4 @@
-"""From the arrays of an environment or a buffer to the tensors that agents compute with, normalised, and back."""
+"""Conversion of the arrays of environments and buffers to the normalised tensors of agents, and back."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from torch import Tensor
 from ..core import Batch, FloatArray, State
 
 ALL_OBSERVED = 500
-"""The batches of this many first updates all enter the statistics of the normaliser."""
+"""Number of first updates whose batches all enter the statistics of the normaliser."""
 OBSERVED_EVERY = 4
-"""Later one batch in this many does: the statistics hardly move, and it takes 2 % of an update."""
+"""Later only every n-th batch enters them: the statistics hardly move, and it takes 2 % of an update."""
 ADOPTED_ROWS = 1_000_000
-"""How many rows the statistics of an exported policy count for; runs of 30,000 updates see twice as many."""
+"""Number of rows that an exported policy's statistics stand for. Runs of 30,000 updates see twice this number."""
 INPUT_CLIP = 5.0
 """Default bound of normalised inputs. Source: OpenAI baselines, HER (norm_clip)."""
 SMALLEST_SPREAD = 0.01
 """Lower bound of a column's standard deviation. Source: OpenAI baselines, HER (norm_eps)."""
 NONE_MISSING = slice(0, 0)
-"""No columns: goals enter as they are alone."""
+"""No columns: only the goals enter, not their difference."""
 
 
 class Normaliser:
@@ -31,11 +31,12 @@ class Normaliser:
     Only `update` changes the statistics; acting and tests leave them unchanged.
 
     Args:
-        columns: how many.
+        columns: their number.
         device: where the statistics live.
         clip: normalised columns are clipped to +- this.
         missing: the columns with desired minus achieved goal.
         fine: factor of these columns over their spread; not the clip but tanh bounds them.
+        alike: columns of several things of one kind, a row each: divided by the root mean square over all of them.
     """
 
     def __init__(
@@ -46,8 +47,10 @@ class Normaliser:
         clip: float = INPUT_CLIP,
         missing: slice = NONE_MISSING,
         fine: float = 1.0,
+        alike: Sequence[Sequence[int]] = (),
     ) -> None:
         self.clip, self.missing, self.fine = clip, missing, fine
+        self._alike = torch.tensor(alike, dtype=torch.int64, device=device)
         self.count = 0
         """Rows seen so far."""
         self.mean = torch.zeros(columns, dtype=torch.float64, device=device)
@@ -79,6 +82,10 @@ class Normaliser:
         self.shift[self.missing] = 0.0
         if self.count:  # before the first update inputs pass unchanged, also in an agent that was loaded
             self.scale[self.missing] *= self.fine
+            if len(self._alike):
+                square = (self._squares / self.count + self.mean.square())[self._alike].mean(0)
+                self.shift[self._alike] = 0.0
+                self.scale[self._alike] = square.sqrt().clamp_(min=SMALLEST_SPREAD).reciprocal().float()
 
     def __call__(self, rows: Tensor) -> Tensor:
         """(n, columns) normalised and bounded; a new tensor. With fewer columns: the first ones."""
@@ -91,9 +98,9 @@ class Normaliser:
         return scaled
 
     def adopt(self, shift: Tensor, scale: Tensor) -> None:
-        """Take the statistics behind `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
+        """Adopt the statistics that give `(x - shift) * scale`, as those of ADOPTED_ROWS rows.
 
-        Columns behind theirs, which critics alone observe, keep mean 0 and deviation 1.
+        Further columns, which only critics observe, keep mean 0 and deviation 1.
         """
         mean, squares = torch.zeros_like(self.mean), torch.full_like(self.mean, ADOPTED_ROWS)
         mean[: len(shift)], squares[: len(scale)] = shift, ADOPTED_ROWS / scale.double().square()
@@ -111,9 +118,9 @@ class Normaliser:
 
 
 class TensorBatch(NamedTuple):
-    """A batch on the device. Observation and goal stand side by side, normalised: the input of a network.
+    """A batch on the device. Observation and goal are joined and normalised: the input of a network.
 
-    The critics' inputs also have the columns that critics alone observe, behind the policy's.
+    The critics' inputs end with the columns that only critics observe.
     """
 
     both_inputs: Tensor
@@ -142,7 +149,7 @@ def tensor_batch(
 ) -> TensorBatch:
     """The batch of an agent's update (the first is 0) as tensors.
 
-    Its inputs, relabelled goals included, first enter the statistics in early updates, and later in some.
+    Before that, its inputs with the relabelled goals enter the statistics: in every early update, later in some.
     `critic_only`: how many of the last columns of observations the policy does not see; `observed_goal`: see Signature.
     """
     count, size = batch.observation.shape

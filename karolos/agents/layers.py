@@ -1,7 +1,7 @@
 """Affine layers with rectifiers between them: forward and backward pass by the fastest kernels of this machine.
 
-On x86 PyTorch computes float32 products with MKL, which reaches 117 GFLOP/s on one Zen 5 core where oneDNN reaches 240
-(measured, sides of 256). On a Zen 3 core, without AVX-512, MKL reaches 80 and oneDNN 65. `_linear_pointwise` calls
+On x86 PyTorch computes float32 products with MKL. On one Zen 5 core MKL reaches 117 GFLOP/s and oneDNN 240 (measured,
+sides of 256). On a Zen 3 core, without AVX-512, MKL reaches 80 and oneDNN 65. `_linear_pointwise` calls
 oneDNN; the result is exact up to float32 rounding. Products in bfloat16 run on oneDNN, at 450 GFLOP/s, if it has
 kernels for the CPU. Autograd needs four times as many operations for the same gradient.
 """
@@ -37,7 +37,7 @@ def _one_dnn(dtype: torch.dtype) -> Any:
 
 
 _AFFINES = {dtype: _one_dnn(dtype) for dtype in (torch.float32, torch.bfloat16)}
-"""oneDNN's affine map by type; None: PyTorch's products are taken."""
+"""oneDNN's affine map by type; None: PyTorch's products are used."""
 
 
 class Affine(NamedTuple):
@@ -95,7 +95,7 @@ def forward(x: Tensor, layers: list[Affine], *, layer_norm: bool) -> tuple[Tenso
 def backward(
     gradient: Tensor, tape: Tape, layers: list[Affine], *, out: list[Affine] | None, columns: slice | None
 ) -> Tensor | None:
-    """From the gradient by the outputs to the gradients by the parameters and by the inputs.
+    """Compute the gradients by the parameters and by the inputs from the gradient by the outputs.
 
     Args:
         gradient: by the outputs, (n, out).

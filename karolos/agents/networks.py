@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons whose parameters are one vector, alone or several of one shape side by side.
+"""Multi-layer perceptrons whose parameters are one vector: one network, or several of the same shape.
 
 With one vector a step of an optimiser, a step of a target network and a checkpoint are one operation each. Agents of
 karolos call `forward` and `backward`; a plugin can use a network under autograd instead.
@@ -28,7 +28,7 @@ class NetworkShape:
 
     Args:
         sizes: input columns, units of each hidden layer, output columns.
-        members: networks of this shape side by side; 0: one, without an axis for it.
+        members: number of networks of this shape; 0: one network, without an axis for it.
         layer_norm: normalise each hidden layer before its rectifier, without a learned gain.
         bfloat16: compute hidden layers in bfloat16. The last layer is float32: near 16 bfloat16 has steps of 1/8.
     """
@@ -57,7 +57,7 @@ class MLP:
 
     Args:
         shape: layers, members, options.
-        generator: draws the weights, on the CPU: uniform in +- 1 / sqrt(input columns), as torch.nn.Linear does.
+        generator: samples the weights, on the CPU: uniform in +- 1 / sqrt(input columns), as torch.nn.Linear does.
         device: where the parameters live.
     """
 
@@ -130,7 +130,7 @@ class MLP:
         return self._rounded_layers
 
     def forward(self, x: Tensor, *, exact: bool = False, members: int | None = None) -> tuple[Tensor, list[Tape]]:
-        """Outputs as of a call, and a tape of each member, for `backward`. With `members`: of the first ones alone."""
+        """Outputs as of a call, and a tape of each member, for `backward`. With `members`: only of the first ones."""
         bfloat16 = self.shape.bfloat16 and not exact
         if bfloat16:
             x = x.bfloat16()
@@ -144,7 +144,7 @@ class MLP:
     def backward(
         self, gradient: Tensor, tapes: Sequence[Tape], *, parameters: bool = True, columns: slice | None = None
     ) -> Tensor | None:
-        """From the gradient by the outputs to that by the parameters, written to `gradient`, and by the inputs.
+        """Compute the gradient by the parameters, into `gradient`, and by the inputs from the gradient by the outputs.
 
         Args:
             gradient: of the outputs' shape.
@@ -174,7 +174,7 @@ class MLP:
 
     def copy(self) -> MLP:
         """A network with equal parameters in a vector of its own: a target network."""
-        other = MLP(self.shape, torch.Generator(), str(self.vector.device))
+        other = type(self)(self.shape, torch.Generator(), str(self.vector.device))
         other.vector.copy_(self.vector.detach())
         return other
 

@@ -17,7 +17,7 @@ from ..core import State
 THETA = 0.15
 """Source: Lillicrap et al. 2015, section 7."""
 INTERVAL = 8
-"""A third of a second at 24 Hz; Raffin et al. 2021 draw a new matrix every 4 to 64 steps, by the task."""
+"""A third of a second at 24 Hz. Raffin et al. 2021 sample a new matrix every 4 to 64 steps, depending on the task."""
 
 
 class NoiseSettings(BaseSettings):
@@ -26,7 +26,7 @@ class NoiseSettings(BaseSettings):
     kind: Literal["gaussian", "ornstein_uhlenbeck", "state_dependent"] = Setting(
         default="gaussian",
         description="gaussian: independent at each step; ornstein_uhlenbeck: correlated over an episode; "
-        "state_dependent: a random function of the observation, drawn again at intervals",
+        "state_dependent: a random function of the observation, sampled again at intervals",
     )
     theta: float | None = Setting(
         default=None,
@@ -35,7 +35,7 @@ class NoiseSettings(BaseSettings):
         description=f"ornstein_uhlenbeck: share of the noise that decays per step; null: {THETA}",
     )
     interval: int | None = Setting(
-        default=None, ge=1, description=f"state_dependent: steps between two draws of the function; null: {INTERVAL}"
+        default=None, ge=1, description=f"state_dependent: steps until the function is sampled again; null: {INTERVAL}"
     )
 
     @model_validator(mode="after")
@@ -49,7 +49,7 @@ class NoiseSettings(BaseSettings):
 class ScaledNoiseSettings(NoiseSettings):
     """Settings of noise on a deterministic policy's actions."""
 
-    std: float = Setting(default=0.2, ge=0, description="standard deviation of each action column, for every kind")
+    std: float = Setting(default=0.2, ge=0, description="standard deviation per action column, for every kind")
 
 
 class Noise:
@@ -59,7 +59,7 @@ class Noise:
     ornstein_uhlenbeck: x' = (1 - theta) x + sqrt(theta (2 - theta)) e with e ~ N(0, 1) (Uhlenbeck, Ornstein 1930, at
         steps of 1). It starts standard normal and stays so.
     state_dependent: M^T z / |z|, with the normalised inputs and a 1 as features z, and a matrix M of standard normal
-        numbers per environment, drawn at the beginning of an episode and every `interval` steps. Generalised
+        numbers per environment, sampled at the beginning of an episode and every `interval` steps. Generalised
         state-dependent exploration (Raffin et al. 2021) learns a standard deviation for each feature. Here the policy
         gives it, so that actions have the density that the policy's loss assumes.
 

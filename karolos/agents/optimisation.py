@@ -30,7 +30,7 @@ class Adam:
         self._gradient = vector
         self._length: Tensor | None = None
         self.steps = 0
-        """Made so far."""
+        """Number of steps so far."""
         self._state = {
             "step": torch.zeros((), device=vector.device),
             "exp_avg": torch.zeros_like(vector),
@@ -66,14 +66,14 @@ class Adam:
 
 
 REPORT_EVERY = 8
-"""One update in this many computes its metrics, which takes 2 % of an update."""
+"""Updates per computation of metrics, which takes 2 % of an update."""
 
 Metrics = dict[str, Tensor | Callable[[], Tensor]]
 """Named scalars, most of them not computed yet; under `priorities` an array (n,)."""
 
 
 def report(metrics: Metrics, optimisers: Mapping[str, Adam], turn: int) -> dict[str, Any]:
-    """Priorities, and in one turn of `REPORT_EVERY` the computed metrics and the learning rates."""
+    """Priorities, and in every `REPORT_EVERY`-th update also the computed metrics and the learning rates."""
     if turn % REPORT_EVERY:
         return {"priorities": metrics["priorities"]}
     computed = {name: value() if callable(value) else value for name, value in metrics.items()}

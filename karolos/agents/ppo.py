@@ -25,8 +25,8 @@ from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
 
 PPO_INPUT_CLIP = 10.0
-"""Bound of normalised inputs. A better policy reaches states far from those of the first ones, e.g. a cart far from the
-middle. Source: OpenAI baselines, VecNormalize (clipob)."""
+"""Bound of normalised inputs. Better policies reach states far from the first ones, e.g. a cart far from the middle.
+Source: OpenAI baselines, VecNormalize (clipob)."""
 KL_SLACK = 1.5
 """Learning from a rollout ends when the policy has moved this many times `target_kl`. Source: OpenAI Spinning Up."""
 RELU_GAIN = 2**0.5
@@ -42,25 +42,29 @@ class RolloutBatch(NamedTuple):
     """Log probability of the action under the policy that collected it."""
     advantage: Tensor
     value: Tensor
-    """Under the value network before it learns from the rollout."""
+    """Value by the network before it learns from the rollout."""
     target: Tensor
     """Target of the value: advantage + value."""
 
 
 class PPO(TorchAgent[Rollout]):
-    """Improves the policy on its latest rollout while it stays near the policy that collected the rollout.
+    """Improves the policy on its latest rollout, and keeps it near the policy that collected the rollout.
 
     On-policy; continuous actions (a Gaussian whose actions are stored unclipped) and discrete ones. Observations and
-    goals are normalised by running statistics. These change between rollouts only, so that equal weights are an equal
-    policy from the first step of a rollout to the last update from it.
+    goals are normalised by running statistics. These change only between rollouts. From the first step of a rollout to
+    its last update the same weights therefore mean the same policy.
     """
 
     class Settings(OptimiserSettings):
-        discount: float = Setting(0.95, ge=0, lt=1, description="per environment step; about 1 - 1 / steps of episode")
-        trace_decay: float = Setting(0.95, ge=0, le=1, description="lambda of advantages: 0 trusts values, 1 rewards")
-        clip: float = Setting(0.2, gt=0, description="bound of the probability ratio's distance from 1")
+        discount: float = Setting(
+            0.95, ge=0, lt=1, description="factor per environment step; about 1 - 1 / steps of episode"
+        )
+        trace_decay: float = Setting(
+            0.95, ge=0, le=1, description="lambda of advantages; 0 relies on values, 1 on rewards"
+        )
+        clip: float = Setting(0.2, gt=0, description="largest distance of the probability ratio from 1")
         value_clip: float | None = Setting(
-            None, gt=0, description="bound of a value's change per rollout, in spreads of the returns; null: unbounded"
+            None, gt=0, description="largest change of a value per rollout, in spreads of the returns; null: unlimited"
         )
         entropy: float = Setting(0.0, ge=0, description="weight of the policy's entropy (nats)")
         epochs: int = Setting(10, ge=1, le=10_000, description="passes through each rollout")
@@ -68,13 +72,13 @@ class PPO(TorchAgent[Rollout]):
             8, ge=1, le=10**6, description="gradient updates per epoch, each from a share of the rollout"
         )
         target_kl: float | None = Setting(
-            None, gt=0, description="stop learning from a rollout once the policy has moved 1.5 times this; null: never"
+            None,
+            gt=0,
+            description="stop learning from a rollout when the KL divergence exceeds 1.5 times this; null: never",
         )
-        gradient_norm: float | None = Setting(
-            0.5, gt=0, description="longer gradients are clipped to this; null: never"
-        )
+        gradient_norm: float | None = Setting(0.5, gt=0, description="clip gradients to this norm; null: no clipping")
         hidden: Hidden = Setting((64, 64), description="units of each hidden layer")
-        std: float = Setting(1.0, gt=0, description="standard deviation of continuous actions at the start")
+        std: float = Setting(1.0, gt=0, description="initial standard deviation of continuous actions")
 
     on_policy: ClassVar[bool] = True
     shaping: ClassVar[tuple[str, ...]] = ("hidden", "fine_goal")
@@ -109,7 +113,7 @@ class PPO(TorchAgent[Rollout]):
         """`epochs` passes through the rollout of `minibatches` updates each; metrics are means over the updates."""
         transitions, settings = self._transitions(batch), self.settings
         count = len(transitions.action)
-        # Every epoch uses each transition once, in another order. A rollout can be shorter where simulations diverged.
+        # Every epoch uses each transition once, in another order. A rollout is shorter if simulations diverged.
         orders = (
             torch.randperm(count, generator=self.generator, device=self.device).tensor_split(
                 min(settings.minibatches, count)
@@ -139,7 +143,7 @@ class PPO(TorchAgent[Rollout]):
         }
 
     def update(self, minibatch: RolloutBatch) -> dict[str, Tensor] | None:
-        """One gradient step of policy and value; None, without a step, if the policy has moved too far already.
+        """One gradient step of policy and value. Returns None and makes no step if the policy has moved too far.
 
         The policy's loss is L = - mean min(ratio A, clip(ratio, 1 - clip, 1 + clip) A) - entropy mean H, with the
         normalised advantages A. Source: Schulman et al. 2017, equations 7 and 9.
@@ -275,7 +279,7 @@ class Gaussian:
         self.log_std = torch.full((columns,), math.log(std), device=device)
         """The learned parameters, (a,). Change them in place."""
         self.gradient = torch.zeros_like(self.log_std)
-        """By `log_std`; result of the latest `backward`."""
+        """Gradient by `log_std`; result of the latest `backward`."""
 
     def sample(self, output: Tensor, generator: torch.Generator) -> Tensor:
         """Exploring actions (n, a) from the network's output (n, columns)."""
@@ -293,14 +297,14 @@ class Gaussian:
         return -(distance.square().mul(0.5) + self.log_std).sum(-1) - constant
 
     def entropy(self, output: Tensor) -> Tensor:
-        """In nats: (n,)."""
+        """Entropy in nats: (n,)."""
         entropy = self.log_std.sum() + 0.5 * self.columns * (1 + math.log(2 * math.pi))
         return entropy.expand(len(output))
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
-        """The gradient by the network's output (n, columns), from those by log probabilities (n,) and each entropy.
+        """The gradient by the network's output (n, columns), from those by log probabilities (n,) and by each entropy.
 
-        That by `log_std` is left in `gradient`. With d = (action - output) / std: d log p / d output = d / std,
+        `gradient` holds the gradient by `log_std`. With d = (action - output) / std: d log p / d output = d / std,
         d log p / d log std = d^2 - 1, and d entropy / d log std = 1.
         """
         inverse, column = torch.exp(-self.log_std), by_log_probability.unsqueeze(-1)
@@ -340,7 +344,8 @@ class Categorical:
 
     def backward(self, output: Tensor, action: Tensor, by_log_probability: Tensor, by_entropy: float) -> Tensor:
         """As `Gaussian.backward`. With p = softmax(output) and entropy H: d log p_a / d output_j = (j = a) - p_j,
-        d H / d output_j = -p_j (log p_j + H)."""
+        d H / d output_j = -p_j (log p_j + H).
+        """
         log_probability, column = torch.log_softmax(output, -1), by_log_probability.unsqueeze(-1)
         probability = log_probability.exp()
         entropy = -(probability * log_probability).sum(-1, keepdim=True)

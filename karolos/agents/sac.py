@@ -20,7 +20,7 @@ from .squashed_gaussian import SquashedActions, squashed
 
 
 class SAC(ActorCritic):
-    """A stochastic policy that maximises return plus entropy, and two critics, the smaller of which counts.
+    """A stochastic policy that maximises return plus entropy, and two critics, of which the smaller value counts.
 
     Off-policy, continuous actions in [-1, 1]. The temperature, the weight of the entropy, is learned so that the
     policy's entropy comes near a target. Observations and goals are normalised by running statistics of the batches.
@@ -32,21 +32,23 @@ class SAC(ActorCritic):
     """
 
     class Settings(ActorCriticSettings):
-        temperature: float = Setting(0.05, gt=0, description="weight of the entropy at the start")
+        temperature: float = Setting(0.05, gt=0, description="initial weight of the entropy")
         temperature_min: float = Setting(0.0, ge=0, description="lower bound of the learned temperature")
         target_entropy: float | None = Setting(None, description="in nats; null: minus the number of action columns")
-        entropy_in_target: bool = Setting(False, description="count the next action's entropy in the critics' target")
-        critic: Quantiles | None = Setting(None, description="critics that give quantiles (TQC); null: values")
+        entropy_in_target: bool = Setting(False, description="include the next action's entropy in the targets")
+        critic: Quantiles | None = Setting(None, description="critics that predict quantiles (TQC); null: values")
         policy_delay: int = Setting(1, ge=1, description="critic updates for each update of policy and temperature")
         noise: NoiseSettings = Setting(
             default_factory=NoiseSettings, description="of exploring actions; the policy gives its size"
         )
-        random_actions: float = Setting(0.1, ge=0, le=1, description="share of exploring actions drawn uniformly")
+        random_actions: float = Setting(0.1, ge=0, le=1, description="share of uniformly random exploring actions")
 
         @model_validator(mode="after")
         def _bounds_hold(self) -> SAC.Settings:
             if self.entropy_in_target and self.clip_targets:
-                raise ValueError("values that count entropy have no bounds from rewards: set clip_targets: false too")
+                raise ValueError(
+                    "values with entropy_in_target are not bounded by rewards: also set clip_targets: false"
+                )
             if self.temperature < self.temperature_min:
                 raise ValueError(f"temperature {self.temperature} is below temperature_min {self.temperature_min}")
             return self

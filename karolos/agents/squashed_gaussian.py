@@ -37,7 +37,7 @@ class SquashedActions(NamedTuple):
     """The tapes of the policy network's pass."""
 
     def split(self, count: int) -> tuple[SquashedActions, SquashedActions]:
-        """The first `count` rows without tapes, and the others with them."""
+        """The first `count` rows without tapes, and the other rows with tapes."""
         *fields, tapes = self
         first = [*(field[:count] for field in fields), ()]
         others = [*(field[count:] for field in fields), tuple(tape.rows(count) for tape in tapes)]

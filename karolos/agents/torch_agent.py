@@ -20,9 +20,11 @@ from ..core import (
     AgentSettings,
     Batch,
     Deployed,
+    Discrete,
     Experience,
     FloatArray,
     Layer,
+    Layout,
     Output,
     SeedTree,
     Signature,
@@ -39,24 +41,34 @@ Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting
 """Units of each hidden layer."""
 
 
+def joint_columns(layout: Layout | Discrete) -> list[list[int]]:
+    """For each joint that the layout describes its columns; empty if it describes none."""
+    if isinstance(layout, Discrete):
+        return []
+    columns, fields = np.arange(layout.size), [field for field in layout.fields if field.joints]
+    tables = [columns[layout.slice(field.name)].reshape(field.joints, -1) for field in fields]
+    rows: list[list[int]] = np.concatenate(tables, 1).tolist() if tables else []
+    return rows
+
+
 class OptimiserSettings(AgentSettings):
     """Settings of every agent that optimises with Adam."""
 
-    learning_rate: float = Setting(1e-3, gt=0, description="of all networks (Adam)")
+    learning_rate: float = Setting(1e-3, gt=0, description="learning rate of all networks (Adam)")
     learning_rate_end: float | None = Setting(
         None, ge=0, description="learning rate after learning_rate_updates, reached linearly; null: constant"
     )
     learning_rate_updates: int | None = Setting(
-        None, ge=1, description="updates of the agent until learning_rate_end is reached, whatever its policy_delay"
+        None, ge=1, description="updates of the agent until learning_rate_end; policy_delay has no influence"
     )
     fine_goal: float | None = Setting(
         None,
         gt=0,
         le=100,
-        description="networks also see desired minus achieved goal, divided by its spread and multiplied by this "
-        "(bounded by tanh), where observations have the achieved goal; null: they do not",
+        description="a further input of the networks: desired minus achieved goal, divided by its standard deviation, "
+        "multiplied by this and bounded by tanh, if observations have the achieved goal; null: none",
     )
-    gradient_norm: float | None = Setting(None, gt=0, description="longer gradients are clipped to this; null: never")
+    gradient_norm: float | None = Setting(None, gt=0, description="clip gradients to this norm; null: no clipping")
 
     @model_validator(mode="after")
     def _schedule_is_whole(self) -> Any:
@@ -89,7 +101,7 @@ class TorchAgent(Agent[Experience]):
     critics_see_more: ClassVar[bool] = False
     """Whether critics use the fields of `environment.critic_observes`."""
     arrays: ClassVar[int] = 8
-    """Arrays of the size of a network that it holds: parameters, targets, gradients, moments of Adam. Measured."""
+    """Number of arrays of a network's size: parameters, targets, gradients, moments of Adam. Measured."""
 
     def __init__(
         self, settings: Any, signature: Signature, seeds: SeedTree, device: str, *, input_clip: float = INPUT_CLIP
@@ -101,7 +113,7 @@ class TorchAgent(Agent[Experience]):
             what = "what is achieved of the goal is not among the observations"
             raise UsageError(what, setting="agent.fine_goal", hint="set agent.fine_goal: null")
         self.missing = signature.observed_goal if settings.fine_goal else ((), ())
-        """Columns of goals and of observations whose difference networks see, see `Signature.observed_goal`."""
+        """Columns of goals and of observations whose difference enters the networks, see `Signature.observed_goal`."""
         self.inputs: int = goals + len(self.missing[0])
         """Columns of a policy's input."""
         self.critic_only = signature.observation.size - seen
@@ -115,9 +127,10 @@ class TorchAgent(Agent[Experience]):
             clip=input_clip,
             missing=slice(goals, self.inputs) if self.missing[0] else NONE_MISSING,
             fine=settings.fine_goal or 1.0,
+            alike=joint_columns(signature.observation.acting),
         )
         self.weights_generator = torch.Generator().manual_seed(seeds.child("weights").integer())
-        """Draws the weights of the networks, on the CPU."""
+        """Samples the weights of the networks, on the CPU."""
         self.generator = torch.Generator(self.device).manual_seed(seeds.child("noise").integer())
 
     @torch.inference_mode()
@@ -141,9 +154,9 @@ class TorchAgent(Agent[Experience]):
         """Actions (n, a) without exploration for normalised inputs (n, i)."""
 
     def network_input(self, observation: FloatArray, desired_goal: FloatArray) -> Tensor:
-        """Observations (..., o) and goals (..., g) side by side, normalised: (n, i). The statistics stay unchanged.
+        """Observations (..., o) and goals (..., g), joined and normalised: (n, i). The statistics stay unchanged.
 
-        Columns of observations that critics alone observe may be missing, and do not count.
+        Columns that only critics observe may be missing, and are ignored.
         """
         return self.normaliser(self.unscaled(observation, desired_goal))
 
@@ -192,7 +205,7 @@ class TorchAgent(Agent[Experience]):
         return {**values, "optimisers": optimisers, "generator": self.generator.get_state()}
 
     def load_state(self, state: State) -> None:
-        """The state may come from another device, whose random numbers this one cannot go on with: it draws others.
+        """The state may come from another device. Its random numbers cannot be continued here, so others are sampled.
 
         Raises:
             UsageError: the state is of networks of another shape.

@@ -1,4 +1,4 @@
-"""Moves and mirrors sampled transitions, so that an agent learns for other places on the floor as well.
+"""Moves and mirrors sampled transitions, so that an agent also learns for other places on the floor.
 
 Source: Lin et al. 2019, "Invariant Transform Experience Replay", arXiv 1909.10707, which mirrors whole episodes. Here
 each sampled transition is mirrored or not, and moved, after hindsight has given it its goal.
@@ -30,18 +30,22 @@ SIGNS: Mapping[Kind, tuple[int, ...]] = {
 }
 """Kind of a field -> factors of its columns in a mirror at the plane y = 0.
 
-A rotation R becomes M R M with M = diag(1, -1, 1): that of a thing in a mirror whose own y axis is reversed, so that it
-is the same thing if it is symmetric.
+A rotation R becomes M R M with M = diag(1, -1, 1): the rotation of the mirrored object, with its own y axis reversed.
+For a symmetric object this is the same object.
 """
 AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 3)}
 """1, 2 or 3 where a column is an x, y or z of a place, else 0."""
+STARTS: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()}
+STARTS = {**STARTS, "rotation": (1, 0, 0, 0, 0, 0)}
+"""1 where a rotation begins, else 0."""
 
 
 class Augmentation:
     """Changes sampled transitions in place, by the kinds of their fields, see `Field.kind`.
 
     It is correct if robot and task are the same everywhere on the floor and in a mirror. That holds if actions move the
-    tool, except at the edge of the workspace and for an arm's own asymmetry. It never holds if actions move joints.
+    tool, except at the edge of the workspace and for an arm's own asymmetry. If actions move joints, it holds only if
+    observations say how each moves the tool (`robot.joint_slots`).
 
     Raises:
         UsageError: the kind of a field is not known, or actions are discrete.
@@ -49,19 +53,27 @@ class Augmentation:
     """
 
     class Settings(BaseSettings):
-        mirror: bool = Setting(True, description="half of the transitions are mirrored at the plane y = 0 of the world")
+        mirror: bool = Setting(True, description="mirror half of the transitions at the plane y = 0 of the world")
         shift: float = Setting(
-            0.1, ge=0, le=10, description="largest move of each transition along x and y of the world, m"
+            0.1, ge=0, le=10, description="largest shift of a transition along x and y of the world, m"
         )
         lift: float = Setting(
             0.0,
             ge=0,
             le=10,
             json_schema_extra=LATER,
-            description="largest move of each transition along z, m; for tasks in which nothing stands on the floor",
+            description="largest shift of a transition along z, m; only for tasks in which nothing stands on the floor",
+        )
+        twist: float = Setting(
+            0.0,
+            ge=0,
+            le=3.1416,
+            json_schema_extra=LATER,
+            description="largest turn of the frames of tool and goal about their own z, the same for both, rad; for "
+            "tasks in which no direction of a tool need be called x, with actions along the axes of the base",
         )
         batches: int | None = Setting(
-            None, ge=1, description="batches that are changed; later ones stay as they were experienced; null: all"
+            None, ge=1, description="number of batches to change; later batches are left as they are; null: change all"
         )
 
     def __init__(self, settings: Augmentation.Settings, signature: Signature) -> None:
@@ -69,7 +81,7 @@ class Augmentation:
             raise UsageError("discrete actions have no mirror image", setting="buffer.augmentation", hint="remove it")
         self.settings = settings
         self.batches = 0
-        """Batches so far."""
+        """Number of batches so far."""
         changed = {
             "observation": signature.observation,
             "next_observation": signature.observation,
@@ -78,12 +90,15 @@ class Augmentation:
         }
         columns = transition_layout(signature)
         self._signs, self._axes = np.ones(columns.size, np.float32), np.zeros(columns.size, np.int64)
+        starts = np.zeros(columns.size, np.int64)
         for name, layout in changed.items():
             self._signs[columns.slice(name)] = _columns(layout, SIGNS)
             self._axes[columns.slice(name)] = _columns(layout, AXES)
+            starts[columns.slice(name)] = _columns(layout, STARTS)
+        self._rotations = np.flatnonzero(starts)
 
     def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
-        """Mirror half of the transitions and move all, each on its own. Columns for hindsight alone do not change."""
+        """Mirror half of the transitions and move all, each on its own. Columns only for hindsight do not change."""
         size, settings = len(stored.table), self.settings
         self.batches += 1
         if settings.batches is not None and self.batches > settings.batches:
@@ -94,6 +109,8 @@ class Augmentation:
         if settings.lift:
             way[:, 2] = (2 * generator.random(size, np.float32) - 1) * np.float32(settings.lift)
         self.change(stored, mirrored, way)
+        if settings.twist:
+            _twist(stored.table, settings.twist * (2 * generator.random(size, np.float32) - 1), self._rotations)
 
     def change(self, stored: StoredTransitions, mirrored: BoolArray, way: FloatArray) -> None:
         """Mirror the marked transitions (n,), then move each by its vector in `way` (n, 3), in m."""
@@ -110,13 +127,25 @@ def _change(table: Any, mirrored: Any, way: Any, signs: Any, axes: Any) -> None:
                 table[row, column] += way[row, axes[column] - 1]
 
 
+@compiled
+def _twist(table: Any, angles: Any, rotations: Any) -> None:
+    """Turn the frames whose first two columns begin at `rotations` about their own z by these angles (n,) in rad."""
+    for row in range(len(table)):
+        k, s = np.cos(angles[row]), np.sin(angles[row])
+        for start in rotations:
+            for column in range(start, start + 3):
+                x, y = table[row, column], table[row, column + 3]
+                table[row, column] = k * x + s * y
+                table[row, column + 3] = k * y - s * x
+
+
 def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[int]:
     """The numbers of the kinds of all columns of a layout."""
     columns = list[int]()
     for field in layout.fields:
         if field.kind is None:
             raise UsageError(
-                f"what becomes of {field.name} in a mirror or elsewhere is not known",
+                f"it is unknown how {field.name} changes if the scene is mirrored or moved",
                 setting="buffer.augmentation",
                 hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
             )

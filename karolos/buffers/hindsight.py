@@ -25,8 +25,8 @@ class Hindsight:
 
     The new goal is the first `desired_goal.size` columns of the achieved goal after a step of the episode. Further
     columns of the achieved goal (e.g. the tool's position, for a dense reward) do not belong to the goal. The reward is
-    computed from the goal achieved *after* the transition; a part that does not depend on the goal
-    (`Signature.extra_reward`) is added to it as it was. Observation and next observation share the goal.
+    computed from the goal achieved *after* the transition. A part that does not depend on the goal
+    (`Signature.extra_reward`) stays the same. Observation and next observation share the goal.
 
     Raises:
         UsageError: the environment has no goals.
@@ -43,18 +43,18 @@ class Hindsight:
             0.0,
             ge=0,
             le=1,
-            description="share of the new goals that the transition itself achieves, whatever the strategy: such a "
-            "transition shows at once what its action brings about",
+            description="share of the new goals that the transition itself achieves, with every strategy: such a "
+            "transition shows the effect of its action at once",
         )
         min_displacement: float = Setting(
             0.01,
             ge=0,
-            description="keep the original goal if the new one is closer than this (in the goal's unit) to the goal "
-            "achieved before the transition: nothing moved, so there is nothing to learn; 0: always relabel",
+            description="keep the original goal if the new goal is closer than this to the goal achieved before the "
+            "transition (in the goal's unit): nothing moved, so there is nothing to learn; 0: always relabel",
         )
         imitate: bool = Setting(
             False,
-            description="relabelled transitions enter the agent's imitation term, as demonstrations do; needs "
+            description="the agent imitates relabelled transitions in the same way as demonstrations; needs "
             "agent.imitation",
         )
 
@@ -152,7 +152,7 @@ class Hindsight:
 def relabelled_reward(
     rule: GoalRule, achieved: Array, old: Array, new: Array, stored: Array, extra: tuple[float, float]
 ) -> FloatArray:
-    """The reward (n,) under new goals. The part of the stored reward that is not the rule's does not change."""
+    """The reward (n,) under new goals. The part of the stored reward that the rule does not give stays the same."""
     reward: FloatArray = rule.reward(achieved, new)
     return reward if extra == (0.0, 0.0) else np.add(reward, stored - rule.reward(achieved, old), dtype=np.float32)
 
@@ -177,13 +177,13 @@ def extend(
 
     Args:
         stored: the transitions.
-        slots: theirs.
+        slots: slots of the transitions.
         relabelled: the indices of those that have new goals.
         storage: holds the transitions.
         rule: gives reward and `terminated` under relabelled goals; None in environments without goals.
         steps: the largest number of steps.
         discount: per step.
-        extra: range of the rewards' part that is not the rule's, see `Signature.extra_reward`.
+        extra: range of the part of rewards that the rule does not give, see `Signature.extra_reward`.
 
     Returns:
         discount ** steps taken: (n,) float32.

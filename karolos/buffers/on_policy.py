@@ -21,7 +21,7 @@ class OnPolicy(Buffer[Rollout]):
     """
 
     class Settings(BaseSettings):
-        rollout: int = Setting(128, ge=1, le=1_000_000, description="steps of each environment between two updates")
+        rollout: int = Setting(128, ge=1, le=1_000_000, description="steps of each environment per rollout")
 
     on_policy: ClassVar[bool] = True
 

@@ -33,7 +33,7 @@ class Priority(Replay):
 
     class Settings(Replay.Settings):
         alpha: float = Setting(0.6, ge=0, le=1, description="exponent of the errors in the priorities; 0: uniform")
-        beta: float = Setting(0.4, ge=0, le=1, description="exponent of the importance weights at the start")
+        beta: float = Setting(0.4, ge=0, le=1, description="initial exponent of the importance weights")
         beta_updates: int = Setting(100_000, ge=1, description="batches over which beta rises to 1")
         epsilon: float = Setting(1e-6, gt=0, description="added to each error, so that every transition can be sampled")
 
@@ -70,7 +70,7 @@ class Priority(Replay):
         return self._batch(slots, (weights / weights.max()).astype(np.float32), self.storage.identifiers(slots))
 
     def _draw(self, size: int) -> tuple[Slots, Numbers]:
-        """Slots drawn by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
+        """Slots sampled by their priorities, and each one's priority relative to the mean, N P(i): (n,) both."""
         tree, demonstrated = self._tree, self._demonstrated_count(size)
         total, strata = tree.total, np.arange(size) + self._generator.random(size)
         if demonstrated is None:

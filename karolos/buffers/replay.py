@@ -1,4 +1,4 @@
-"""The base of replay buffers: storage, goals and places changed when sampled, multi-step returns, demonstrations."""
+"""The base of replay buffers: storage, hindsight and augmentation at sampling, multi-step returns, demonstrations."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Replay(Buffer):
     same episode achieved; with `augmentation` they are mirrored and moved.
 
     Raises:
-        UsageError: the capacity is less than one episode per environment, or `hindsight` is set for an environment
+        UsageError: the capacity is below one episode per environment, or `hindsight` is set for an environment
             without goals, or `augmentation` for one with fields of unknown kind.
     """
 
@@ -42,11 +42,11 @@ class Replay(Buffer):
         capacity: int = Setting(
             1_000_000, ge=1, le=10**12, description="largest number of transitions, over all environments"
         )
-        hindsight: Hindsight.Settings | None = Setting(None, description="goals relabelled when sampling; null: off")
+        hindsight: Hindsight.Settings | None = Setting(None, description="replaces goals when sampling; null: off")
         augmentation: Augmentation.Settings | None = Setting(
-            None, description="sampled transitions mirrored, and moved along the floor; null: off"
+            None, description="mirrors and moves sampled transitions; null: off"
         )
-        n_step: int = Setting(1, ge=1, le=100, description="environment steps that a sampled transition spans at most")
+        n_step: int = Setting(1, ge=1, le=100, description="most environment steps of a sampled transition")
 
     on_policy: ClassVar[bool] = False
 

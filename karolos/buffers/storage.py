@@ -1,4 +1,4 @@
-"""Storage of transitions: a table of float32 rows with one ring per environment, and further rings for demonstrations.
+"""Storage of transitions: a table of float32 rows, with one ring per environment and more rings for demonstrations.
 
 A transition is one row, so a batch is one gather whose columns are the batch's fields. An episode is contiguous in its
 ring, also across the ring's end, so index arithmetic finds the steps before and after a transition.
@@ -32,7 +32,7 @@ class StoredTransitions(dict[str, FloatArray]):
             self[field.name] = view[:, 0] if field.name in SCALARS else view
 
     def resized(self, size: int) -> StoredTransitions:
-        """These transitions, or new ones if they are not `size`."""
+        """These transitions, or new ones if their number is not `size`."""
         return self if size == len(self.table) else StoredTransitions(self.layout, size)
 
 

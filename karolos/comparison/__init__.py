@@ -1,4 +1,4 @@
-"""From runs to the numbers that compare experiments. `karolos.report` draws them."""
+"""Computes the numbers that compare experiments from their runs. `karolos.report` draws them."""
 
 from .contenders import Contender, gather
 from .curves import learning_curve

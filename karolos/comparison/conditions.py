@@ -1,4 +1,4 @@
-"""What only run folders hold: tests under changed settings, and the final tests episode by episode."""
+"""Results that only run folders hold: tests under changed settings, and final tests episode by episode."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Condition:
     success: Mapping[float, Estimate]
     """Value -> success at the end of the episode, ascending."""
     notes: tuple[str, ...]
-    """Which tests are left out, one sentence each."""
+    """Tests that are left out, one sentence each."""
 
 
 def final_values(run: RunRecord) -> dict[str, tuple[float, ...]]:
@@ -44,13 +44,13 @@ def final_values(run: RunRecord) -> dict[str, tuple[float, ...]]:
 
 
 def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
-    """For each setting that tests gave other numbers: success at each of them.
+    """For each setting that tests changed to other numbers: success at each number.
 
-    A test counts if it changed this setting alone, defines success, and is of the policy that its checkpoint held last.
-    Tests belong together if checkpoint, seed and number of episodes are the same: those of the most runs are shown, at
-    values that all of these runs were tested at. The run's own value stands among the others, with the success on the
-    same episodes; a parameter of the world, such as task.gravity, has none in the spec. Of two tests at the same value
-    the later one counts.
+    A test counts if it changed only this setting, defines success, and used the checkpoint's latest policy. Tests
+    belong together if checkpoint, seed and number of episodes are the same. The group with the most runs is shown, at
+    values at which all of these runs were tested. The run's own value is included, with the success in the same
+    episodes. A parameter of the world, such as task.gravity, has no value in the spec. If a value was tested twice, the
+    later test counts.
     """
     tested: dict[str, dict[_Group, dict[int, _Tests]]] = {}
     for place, run in enumerate(contender.runs):
@@ -75,7 +75,7 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
 def _condition(
     contender: Contender, setting: str, groups: Mapping[_Group, dict[int, _Tests]], tree: SeedTree
 ) -> Condition:
-    """The tests that belong together and have the most runs; of these the runs and values with the most tests.
+    """The group of tests with the most runs, reduced to the runs and values with the most tests.
 
     Args:
         contender: whose runs were tested.

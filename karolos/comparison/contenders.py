@@ -1,4 +1,4 @@
-"""What is compared: experiments, each with one run per seed; and warnings about unintended differences between them."""
+"""The contenders of a comparison: experiments with one run per seed, and warnings about unintended differences."""
 
 from __future__ import annotations
 
@@ -50,10 +50,10 @@ class Contender:
 
 
 def gather(store: Store | None, runs: Sequence[RunSummary], label: str, selector: str | None = None) -> Contender:
-    """A contender from runs of one experiment. Of several runs with the same seed, it has the newest finished one.
+    """A contender from runs of one experiment. If several runs have the same seed, it has the newest finished one.
 
-    Of the runs of a sweep, only those on seeds that its settings were not tuned or chosen on count, if there are any.
-    Without a store the runs are read from their folders, and all count.
+    Runs of a sweep count only on new seeds, on which no setting was tuned or chosen, if there are such runs. Without a
+    store the runs are read from their folders, and all count.
 
     Args:
         store: has the runs.
@@ -81,7 +81,7 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str, selector
 
 
 def _contender(label: str, records: Sequence[RunRecord], problems: list[str], selector: str | None) -> Contender:
-    """The contender of those runs that have a test; the others are one problem more."""
+    """The contender of the runs that have a test. The other runs become one more problem."""
     tested = tuple(run for run in records if run.tests)
     if not tested:
         raise UsageError(f"{selector or label} has no test yet", hint="`karolos runs list` shows how far its runs are")
@@ -91,9 +91,9 @@ def _contender(label: str, records: Sequence[RunRecord], problems: list[str], se
 
 
 def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
-    """Seed -> of its runs the newest finished one, or the newest if none is finished.
+    """Seed -> the newest finished run with it, or the newest run if none is finished.
 
-    Of runs whose plugins have other source than the newest of these, none counts.
+    Runs whose plugins have other source than those of the newest run do not count.
     """
     ordered = sorted(runs, key=lambda run: (run.state == "finished", run.created))
     source = next((run.source for run in reversed(ordered) if run.source), None)
@@ -101,7 +101,7 @@ def one_per_seed(runs: Sequence[RunSummary]) -> dict[int, RunSummary]:
 
 
 def averaged(runs: Sequence[RunSummary]) -> tuple[list[RunSummary], str]:
-    """The runs that means in lists are of, one per seed: the finished ones, or all if none is; and what is left out."""
+    """The runs over which lists take means, one per seed (finished ones, or all if none is), and what is left out."""
     seeds = list(one_per_seed(runs).values())
     finished = [run for run in seeds if run.state == "finished"] or seeds
     cut = len(seeds) - len(finished)
@@ -109,12 +109,12 @@ def averaged(runs: Sequence[RunSummary]) -> tuple[list[RunSummary], str]:
 
 
 def name_of(runs: Sequence[RunSummary]) -> str:
-    """The names that people gave the runs of an experiment, the newest first: a name is not part of its identity."""
+    """The names of an experiment's runs, newest first: a name is not part of an experiment's identity."""
     return ", ".join(dict.fromkeys(run.name for run in runs))
 
 
 def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
-    """Warnings if `one_per_seed` leaves out runs: those of other source, and those that repeat a seed."""
+    """Warnings if `one_per_seed` leaves out runs: runs of other source, and runs that repeat a seed."""
     chosen = one_per_seed(runs).values()
     sources = {None, *(run.source for run in chosen)}
     others = [run.run for run in runs if run.source not in sources]
@@ -126,7 +126,7 @@ def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
 
 
 def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
-    """A label for each of some selections of runs: its name. Of several with one name: name and hash, or a run's id."""
+    """A label for each selection of runs: its name. If several have the same name: name and hash, or a run's id."""
     names = [name_of(found) for found in selected]
     labels = []
     for name, (run, *others) in zip(names, selected, strict=True):
@@ -136,10 +136,10 @@ def labels_of(selected: Sequence[Sequence[RunSummary]]) -> list[str]:
 
 
 def _reporting(runs: Sequence[RunSummary], label: str) -> tuple[Sequence[RunSummary], list[str]]:
-    """The runs that say how good they are, or all if none does, and what to note.
+    """The runs whose results are not biased by choosing them, or all if there are none, and what to note.
 
-    Of a sweep's trial those on its reporting seeds do, of its best spec those on seeds that it did not tune or choose
-    on, and runs of no sweep.
+    Unbiased are: runs of a sweep's trial on its reporting seeds, runs of its best spec on seeds that the sweep did not
+    use, and runs that do not belong to a sweep.
     """
     sweeps: dict[Path, SweepRecord] = {}
     reporting: list[RunSummary] = []
@@ -193,7 +193,7 @@ def cautions(contenders: Sequence[Contender]) -> tuple[str, ...]:
 
 
 def _different(contenders: Sequence[Contender], what: str, of: Callable[[RunRecord], object]) -> list[str]:
-    """One line if the values of the runs differ; unknown values (None) do not count."""
+    """One line if the values of the runs differ. Unknown values (None) are ignored."""
     values = [
         sorted({str(value) for value in map(of, contender.runs) if value is not None}) for contender in contenders
     ]
@@ -207,14 +207,14 @@ def _each(contenders: Sequence[Contender], values: Sequence[object]) -> str:
 
 
 def _version(package: str, run: RunRecord) -> str | None:
-    """The version of a package; None if it is that of an engine that the run did not use."""
+    """The version of a package; None for an engine that the run did not use."""
     engine = _engine(run)
     others = [one.package for one in ENGINES.values() if engine is not None and one.name != engine]
     return None if package in others else run.versions.get(package)
 
 
 def _engine(run: RunRecord) -> str | None:
-    """The physics engine; None of an environment without one."""
+    """The physics engine; None for an environment without one."""
     environment: Mapping[str, str] = run.spec.get("environment") or {}
     return environment.get("engine")
 

@@ -20,7 +20,7 @@ from .contenders import Contender
 
 Axis = Literal["steps", "seconds"]
 POINTS = 101
-"""Most points of a curve over seeds that were tested at different steps."""
+"""Largest number of points of a curve over seeds that were tested at different steps."""
 
 _Floats = NDArray[np.float64]
 

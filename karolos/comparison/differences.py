@@ -1,4 +1,4 @@
-"""Where specs differ, and how what two runs were made from differs."""
+"""Differences between specs, and between the settings, versions and sources of two runs."""
 
 from __future__ import annotations
 
@@ -26,9 +26,9 @@ MISSING: Final = Missing.MISSING
 
 
 def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, ...]]:
-    """Key path -> each mapping's value, for values that are not all equal; keys are grouped by their first part.
+    """Key path -> each mapping's value, for keys whose values differ. Keys are grouped by their first part.
 
-    Each key of a block that a side lacks, as another plugin has, is a value of its own.
+    If a side lacks a block, for example because it has another plugin, each key of the block is a value of its own.
 
     Args:
         mappings: nested, e.g. resolved specs. A list is one value.
@@ -47,7 +47,7 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
 
 @dataclass(frozen=True)
 class Side:
-    """One of the two: resolved spec, versions, sources by package or file, seed, git commit, and changes since it."""
+    """One side: resolved spec, versions, sources by package or file, seed, git commit, and changes since the commit."""
 
     name: str
     spec: Mapping[str, Any]
@@ -59,7 +59,7 @@ class Side:
 
 
 def of_run(folder: RunFolder) -> Side:
-    """What a run was made from, according to its folder."""
+    """The side of a run, according to its folder."""
     about = folder.description()
     path = folder.path / "code.diff"
     return Side(
@@ -74,7 +74,7 @@ def of_run(folder: RunFolder) -> Side:
 
 
 def of_spec(spec: Spec, name: str) -> Side:
-    """What a run of this spec would be made from now, in the current folder."""
+    """The side of a run of this spec as it would be now, in the current folder."""
     git, patch = provenance.code(Path.cwd()) or ({}, "")
     commit = git.get("commit")
     dump = spec.alone().dump()

@@ -1,7 +1,6 @@
 """The numbers of a comparison. The seed is the unit: a run gives one number, an experiment one per seed.
 
-A run's success and return are those of its final test, whose episodes nothing was chosen on; without one, of its last
-test.
+A run's success and return are those of its final test, whose episodes are held out; without one, of its last test.
 """
 
 from __future__ import annotations
@@ -30,9 +29,9 @@ from .curves import densities, places
 from .differences import MISSING, differences
 
 IntervalKind = Literal["none", "wilson", "range", "approximate", "bootstrap"]
-"""Kind of an interval: none of one run's return, of an improvement over fewer than 5 seeds, and where over 2.5 % of
-the resamples are unknown; Wilson's of one run; smallest to largest of 2 - 4 seeds; bootstrap over 5 - 9 seeds, which
-covers too little; bootstrap over 10 or more seeds. The last two and Wilson's are at 95 %."""
+"""Kind of an interval. Wilson's: one run. Smallest to largest: 2 - 4 seeds. Bootstrap: 5 - 9 seeds, where it covers too
+little, or 10 and more. None: one run's return, an improvement over fewer than 5 seeds, or more than 2.5 % unknown
+resamples. Wilson's and both bootstraps are at 95 %."""
 RATIOS = (0.5, 0.9)
 """Success ratios (`end` by default) for which steps and time of the first test that reaches them are reported."""
 
@@ -49,9 +48,9 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Reaching:
-    """When a test first reached a success ratio: medians over the seeds, None if half of them or more never did.
+    """When a test first reached a success ratio: medians over the seeds; None if half of the seeds or more never did.
 
-    Where half of the seeds reached it before the others did, the middle between the two.
+    For an even number of seeds it is the mean of the two middle values.
     """
 
     ratio: float
@@ -74,18 +73,18 @@ class Scores:
     reaching: tuple[Reaching, ...]
     """Empty for returns."""
     best_end: Estimate | None
-    """Success at the end of the policies `best` in the final test; None if a run has none."""
+    """Success at the end of the policies `best` in the final test; None if a run has no such test."""
     best_return: Estimate | None
     improvement: Estimate | None
     """Probability that a run is better than one of the first contender (ties one half); None for the first itself."""
     measures: Mapping[str, Estimate | None]
-    """By name, means over the episodes of the reported test; None if no episode of some run defines it."""
+    """By name: means over the episodes of the reported test; None if in a run no episode defines the measure."""
     density: Density | None
     """Density of the reported success over the seeds; None for a single one and for returns."""
     over_steps: tuple[NDArray[np.float64], tuple[Density, ...]] | None
     """Environment steps (t,) and the density at each; None for a single seed and for returns."""
     steps: float
-    """Environment steps of a run, mean over seeds; so are the following."""
+    """Environment steps of a run. This and the following are means over seeds."""
     seconds: float
     updates_per_second: float | None
 
@@ -110,7 +109,7 @@ class Comparison:
 
     @property
     def what(self) -> Literal["success", "return"]:
-        """What is compared."""
+        """The contenders of the scores."""
         return "return" if self.metric == "return" else "success"
 
     @property
@@ -185,7 +184,7 @@ def compare(
         at: environment steps; the runs are compared as they were at their tests nearest to them.
 
     Raises:
-        UsageError: success is to be compared, and that of a contender is unknown; a run has no test near `at`.
+        UsageError: success is compared, but unknown for a contender; a run has no test near `at`.
     """
     if at is not None:
         contenders = [replace(one, runs=tuple(run.at(at) for run in one.runs)) for one in contenders]
@@ -250,7 +249,7 @@ def _scores(
 
 @lru_cache(maxsize=4096)
 def estimate_alone(values: tuple[float, ...], episodes: int | None) -> Estimate | None:
-    """The number and interval that `compare` shows of an experiment alone: success of `episodes`, or returns."""
+    """The number and interval that `compare` shows for a single experiment: success of `episodes`, or returns."""
     name = "return" if episodes is None else "end"
     tree = SeedTree(0).child("compare").child(0).child(name)
     return estimate([values], aggregates.mean, tree, episodes) if values else None
@@ -266,9 +265,9 @@ def estimate(
 
     Args:
         rows: values of the runs (n,) each, paired by the run.
-        statistic: of arrays (..., n), as many as rows, to (...).
+        statistic: maps one array (..., n) per row to (...).
         tree: of the bootstrap's random numbers.
-        episodes: if the value of a single run is a success ratio: of how many.
+        episodes: number of episodes, if the value of a single run is a success ratio.
 
     Returns:
         None if the statistic is nan.

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 Output = Literal["tanh", "clip", "argmax"]
-"""From the last layer's output to an action: tanh, clipped to [-1, 1], or the index of the largest column."""
+"""How the last layer's output becomes an action: tanh, clipped to [-1, 1], or the index of the largest column."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ class Layer:
 class Deployed:
     """A policy without exploration as float32 arrays.
 
-    The input x is the observation o, the desired goal g and the missing part g[missing[0]] - o[missing[1]], side by
-    side. Then x = (x - shift) * scale. The missing part is bounded by tanh(x), the rest by clip(x, -clip, clip). The
+    The input x joins the observation o, the desired goal g and the missing part g[missing[0]] - o[missing[1]].
+    Then x = (x - shift) * scale. The missing part is bounded by tanh(x), the rest by clip(x, -clip, clip). The
     layers with max(x, 0) between them follow, and `output`. With `layer_norm`, each hidden layer is normalised
     before max(x, 0): (x - mean) / sqrt(variance + layer_norm), with mean and variance over the row.
     """

@@ -99,7 +99,7 @@ class Buffer(ABC, Generic[Experience]):
         """Set the priorities of the transitions of a batch. Does nothing for uniform sampling.
 
         Args:
-            slot: `Batch.slot`. Transitions that were overwritten meanwhile are left out.
+            slot: `Batch.slot`. Transitions that have been overwritten are ignored.
             priorities: absolute error of each transition under the goal that it had in the batch, (n,).
         """
 

@@ -1,4 +1,4 @@
-"""How functions are compiled: by numba, without a compiler on the machine, and kept in the user's cache folder."""
+"""Compiles functions by numba, which needs no compiler on the machine, and keeps them in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..system import user_cache
 VARIABLE = "KAROLOS_CACHE"
 """Environment variable with the folder of compiled functions."""
 WAIT_SECONDS = 120.0
-"""How long a process waits for another one that compiles, before it compiles, too."""
+"""Longest time that a process waits for another one that compiles. After it the process compiles, too."""
 
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
@@ -38,7 +38,7 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
 
     Args:
         function: in the part of Python that numba compiles. A division by zero gives inf or nan.
-        told: whether lines on stderr say that it is compiled, and how long that took.
+        told: whether lines on stderr report the compilation and its duration.
     """
     dispatcher: Any = njit(**OPTIONS)(function)
     try:
@@ -65,9 +65,9 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
 
 
 def machine_code(function: Any, arguments: Sequence[object]) -> Callable[..., Any]:
-    """A compiled function for arguments of these types, called already: without numba's look at them in each call.
+    """A compiled function for arguments of these types, which calls do not check again. It has been called once.
 
-    That look costs 2 us. Never call it with other types: it does not check the kind or order of an array's numbers.
+    numba's check costs 2 us. Never call it with other types: it does not check the kind or order of an array's numbers.
     """
     code: Callable[..., Any] = function.get_overload(tuple(map(typeof, arguments)))
     return code
@@ -112,9 +112,9 @@ def _digest(file: str) -> str:
 
 
 class _Locator(UserWideCacheLocator):
-    """Gives a function a folder named by the processor, numba, and the content of its file and of those that it calls.
+    """Gives a function a folder, named by the processor, numba, and the content of the files of all functions it calls.
 
-    So no other version's code is loaded, and installations with the same code share it.
+    Code of another version is therefore never loaded, and installations with the same code share the folder.
     """
 
     def __init__(self, py_func: Any, py_file: str) -> None:

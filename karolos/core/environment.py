@@ -14,11 +14,11 @@ from .experience import Step
 from .signature import Array, FloatArray, Signature
 
 STAGE = "task.start_"
-"""What the names of parameters begin with that are probabilities of stages in which training episodes may begin."""
+"""Beginning of the names of parameters that are probabilities of stages, in which training episodes may begin."""
 
 
 class Expert(ABC):
-    """A scripted policy for an environment: it shows that a task can be solved, and gives demonstrations.
+    """A scripted policy of an environment. It shows that a task can be solved, and gives demonstrations.
 
     Order of calls: `reset` after the environment's reset, then `act` before each step. The expert of a task uses the
     robot's view only, so it works with any robot and control mode.
@@ -40,10 +40,10 @@ class Environment(ABC):
 
     Steps. Every Step has the shapes of `signature`, without a leading axis. Returned arrays belong to the caller: the
     environment does not change them later. After a reset `reward` is 0, and `terminated` and `truncated` are False.
-    `truncated` is True at step `signature.max_steps` at the latest. If `signature.goal_rule` is set, `success` is the
-    rule's, but False where a protective stop ends the episode; `terminated` includes the rule's, and hindsight needs a
-    reward that is the rule's. If the environment does not define success, `signature.has_success` is False, and results
-    show returns only.
+    `truncated` is True at step `signature.max_steps` at the latest. If `signature.goal_rule` is set, `success` is that
+    of the rule, but False if a protective stop ends the episode. `terminated` is True whenever the rule terminates.
+    Hindsight needs the reward of the rule. If the environment does not define success, `signature.has_success` is
+    False, and results show only returns.
 
     Errors. An environment may raise any exception. The orchestrator then reports the episode as lost and builds the
     environment again. When the simulation diverges, return a Step with `diverged`, `truncated` and reward 0.
@@ -53,7 +53,7 @@ class Environment(ABC):
     """
 
     signature: Signature
-    """Shapes, names and the goal rule. It depends on the environment's settings alone and does not change."""
+    """Shapes, names and the goal rule. It depends only on the environment's settings and does not change."""
     rate: float = 24
     """Control steps per second of real time, at which films and windows show it."""
 
@@ -69,9 +69,9 @@ class Environment(ABC):
         """
 
     def parameters(self) -> FloatArray:
-        """The values that domain randomization drew for this episode, in the layout `signature.parameters`.
+        """The values that domain randomization sampled for this episode, in the layout `signature.parameters`.
 
-        Of the probability of a stage (`STAGE`) it is 1 if the episode began in the stage, else 0.
+        For the probability of a stage (`STAGE`) it is 1 if the episode began in the stage, else 0.
         """
         return np.zeros(0, np.float32)
 
@@ -102,7 +102,7 @@ class Environment(ABC):
 
 
 def close(environment: Environment) -> None:
-    """Close an environment whose work is done. An error changes no result, and is a line on stderr."""
+    """Close an environment that is no longer needed. An error changes no result and becomes a line on stderr."""
     try:
         environment.close()
     except (Exception, SystemExit, KeyboardInterrupt) as error:  # a plugin may raise anything

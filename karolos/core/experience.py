@@ -44,7 +44,7 @@ class Step(NamedTuple):
             array[environments] = rows
 
     def select(self, which: NDArray[Any]) -> Step:
-        """The steps of the environments with these indices, or that are marked: a copy."""
+        """The steps of environments, by indices or by a mask: a copy."""
         return Step(*(array[which] for array in self))
 
 

@@ -15,7 +15,7 @@ from .experience import Step
 from .signature import FloatArray, Signature
 
 BuildEnvironment = Callable[[], Environment]
-"""Builds one of an orchestrator's environments, each like the others. Picklable, so that workers can call it."""
+"""Builds one of an orchestrator's environments, which are all alike. Picklable, so that workers can call it."""
 
 
 class Failure(NamedTuple):
@@ -42,7 +42,7 @@ class Received(NamedTuple):
         return environments_of(self.failures)
 
     def select(self, which: NDArray[np.bool_]) -> Received:
-        """The answers that are marked, (n,), without failures."""
+        """The answers selected by a mask (n,), without failures."""
         if which.all():
             return self._replace(failures=())
         return Received(self.environment[which], self.step.select(which), self.updates[which])
@@ -59,7 +59,7 @@ class Orchestrator(ABC):
     Commands. `reset` and `step` start a command and return; `receive` returns the results. Ids are distinct, and their
     environments have no pending command. All three raise ValueError after `close`.
 
-    Determinism. The results of an environment depend on its seeds and actions alone, not on the layout or on timing.
+    Determinism. The results of an environment depend only on its seeds and actions, not on the layout or on timing.
 
     Failures. An environment that raises, or whose worker ends or hangs, loses its episode, whether it is busy or idle.
     The next `receive` lists it in `failed` with the cause in `failures`, and returns no step of it. The environment is
@@ -94,7 +94,7 @@ class Orchestrator(ABC):
 
     @abstractmethod
     def parameters(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:
-        """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+        """The values that domain randomization sampled for the running episodes: (n, signature.parameters.size)."""
 
     @abstractmethod
     def measures(self, environments: Sequence[int] | NDArray[np.int64]) -> FloatArray:

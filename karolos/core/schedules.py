@@ -13,7 +13,7 @@ class Every:
         self.reached = 0
 
     def __call__(self, count: int) -> bool:
-        """Whether a multiple was reached since the last call that returned True."""
+        """Whether a multiple has been reached since the last call that returned True."""
         multiples = count // self.interval
         due = multiples > self.reached
         self.reached = max(self.reached, multiples)

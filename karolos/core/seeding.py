@@ -1,6 +1,6 @@
 """One SeedSequence tree for every random number of a run: run -> part -> index.
 
-Each part draws from its own generator, so an additional draw in one part does not change the others.
+Each part has its own generator, so an additional random number in one part does not change the others.
 Nodes are addressed by name and number. With `spawn` the streams would depend on the order of creation.
 Source: NumPy's SeedSequence (spawn keys), O'Neill 2015.
 """

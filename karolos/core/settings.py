@@ -17,7 +17,7 @@ class Settings(BaseModel):
 
 
 LATER: Any = {"later": True}
-"""`json_schema_extra` of a setting that came after 0.2: at its default it is no part of an experiment's identity."""
+"""`json_schema_extra` of a setting added after 0.2: its default does not belong to an experiment's identity."""
 
 
 def without_later(settings: BaseModel, dumped: dict[str, Any]) -> dict[str, Any]:
@@ -36,13 +36,13 @@ class AgentSettings(Settings):
     """Base of every agent's nested `Settings`."""
 
     start_from: str | None = Setting(
-        None, description="id or folder of a run or a policy that ships whose weights to start from, without optimisers"
+        None, description="start from the weights of this run or shipped policy (id or folder), without its optimisers"
     )
-    start_checkpoint: Literal["best", "last"] = Setting("best", description="the checkpoint of that run")
+    start_checkpoint: Literal["best", "last"] = Setting("best", description="checkpoint of that run")
     start_sha256: str | None = Setting(
         None,
         pattern="^[0-9a-f]{64}$",
-        description="of that checkpoint's agent; null: not checked, and filled in when the run starts",
+        description="sha256 of that checkpoint's agent; null: not checked, and filled in when the run starts",
     )
 
     @model_validator(mode="after")
@@ -52,5 +52,5 @@ class AgentSettings(Settings):
         return self
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on: the start by its content, not by its path."""
+        """The settings that change results. The start is identified by its content, not by its path."""
         return self.model_dump(mode="json", exclude={"start_from", "start_checkpoint"})

@@ -23,15 +23,17 @@ class Field:
     size: int
     unit: str = "1"
     critic_only: bool = False
-    """Whether a critic alone may observe it, so that a policy acts without. Such fields stand at the end."""
+    """Whether only critics observe it. Policies act without such fields, which stand at the end."""
     kind: Kind | tuple[Kind, ...] | None = None
-    """How it changes when everything is moved along the floor or mirrored, see `augmentation`.
+    """How the field changes if the scene is moved along the floor or mirrored, see `augmentation`.
 
     scalar: nothing. point: a place in the world (x, y or x, y, z). vector: a difference of places, a velocity, a force,
-    a direction. axial: a turn, an angular velocity, a torque (about x, y, z or about z alone). rotation: the first two
-    columns of a rotation matrix. wrench: a vector, then an axial one. Several: one after the other, of 3 columns, 6
-    columns (rotation, wrench) or one (scalar). None: unknown.
+    a direction. axial: a turn, an angular velocity, a torque (about x, y, z or only about z). rotation: the first two
+    columns of a rotation matrix. wrench: a vector, then an axial one. Several kinds describe the columns in order: 3
+    columns each, 6 for rotation and wrench, 1 for scalar. None: unknown.
     """
+    joints: int = 0
+    """How many joints it describes, one after the other, each in equally many columns; 0: it describes none."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,7 @@ class Layout:
 
     @property
     def acting(self) -> Layout:
-        """The fields that a policy observes: those that are not for critics alone."""
+        """The fields that a policy observes, without those that only critics observe."""
         return Layout(tuple(field for field in self.fields if not field.critic_only))
 
     def slice(self, name: str) -> slice:
@@ -127,12 +129,12 @@ Better = Literal["smaller", "larger"]
 
 @dataclass(frozen=True)
 class Measure:
-    """A number of an episode, known at its end; nan where it is undefined, as the time to success of a failure."""
+    """A number of an episode, known at its end; nan if it is undefined, e.g. the time to success of a failure."""
 
     name: str
     unit: str
     better: Better
-    """Which of two values is better."""
+    """Whether smaller or larger values are better."""
     description: str
     """One line."""
 
@@ -147,7 +149,7 @@ SAME_LAYOUTS = "robots have the same layouts with cartesian control and the same
 
 @dataclass(frozen=True)
 class Signature:
-    """Layouts of an environment's inputs and outputs: all that agents and buffers know about it. Picklable."""
+    """All that agents and buffers know about an environment: layouts of inputs and outputs, goal rule. Picklable."""
 
     observation: Layout
     action: Layout | Discrete
@@ -155,22 +157,22 @@ class Signature:
     """Number of steps after which an episode is truncated."""
     reward_range: tuple[float, float] = (-np.inf, np.inf)
     extra_reward: tuple[float, float] = (0.0, 0.0)
-    """Range of the part of a step's reward that does not depend on the goal: it is added to the goal rule's reward, and
-    hindsight leaves it as it is."""
+    """Range of the part of a step's reward that does not depend on the goal. It is added to the goal rule's reward, and
+    hindsight does not change it."""
     achieved_goal: Layout = NO_FIELDS
     desired_goal: Layout = NO_FIELDS
     goal_rule: GoalRule | None = None
     """None: the environment has no goals and empty goal layouts."""
     has_success: bool = True
-    """Whether success is defined. False: results show returns only, unless a test has a success all the same."""
+    """Whether success is defined. False: results show only returns, unless a test has a success."""
     parameters: Layout = NO_FIELDS
-    """The values that domain randomization draws at each reset, see `Environment.parameters`."""
+    """The values that domain randomization samples at each reset, see `Environment.parameters`."""
     measures: tuple[Measure, ...] = ()
     """The measures of an episode, see `Environment.measures`. Their names differ."""
 
     @property
     def observed_goal(self) -> tuple[list[int], list[int]]:
-        """Columns of the desired goal, and the columns of observations with the achieved values of these.
+        """Columns of the desired goal, and the columns of observations with their achieved values.
 
         The n-th column of the achieved goal belongs to the n-th of the desired one. It is observed if
         policies observe a field of the same name and size.
@@ -193,9 +195,9 @@ def random_actions(signature: Signature, size: int, generator: np.random.Generat
 
 
 def layout_differences(acting: Signature, trained: Signature, *, learning: bool = False) -> list[str]:
-    """The differences that prevent an agent trained on `trained` from acting on `acting`: one line for each layout.
+    """Differences that prevent an agent trained on `trained` from acting on `acting`: one line per layout.
 
-    With `learning` also those that prevent its critics from learning on.
+    With `learning` also differences that prevent its critics from learning.
     """
     lines = []
     for part in ("observation", "action", "desired_goal"):

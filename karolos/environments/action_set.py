@@ -40,7 +40,7 @@ class ActionSet:
         self.actions = Discrete((*steps, "nothing"))
 
     def reset(self, opening: float) -> None:
-        """Start an episode with this commanded opening of the gripper, in [0, 1]."""
+        """Start an episode with this command to the gripper: its opening in [0, 1]."""
         self._last_opening = 2 * opening - 1
 
     def values(self, index: int) -> list[float]:

@@ -1,4 +1,4 @@
-"""From a recipe to an environment, and the facts of an environment that a policy relies on."""
+"""Builds an environment from a recipe, and collects the facts of an environment that a policy relies on."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def _build(recipe: Recipe) -> Environment:
     for variant in variants.values():
         variant.randomize(live)
     drawn = next(iter(variants.values())).signature
-    if differences := layout_differences(joined.signature, drawn, learning=True):  # tests draw nothing
+    if differences := layout_differences(joined.signature, drawn, learning=True):  # tests sample nothing
         what = "tests, which draw nothing, would differ from training: " + "; ".join(differences)
         raise UsageError(what, setting=f"randomization.{fixed[0]}", hint="change the setting itself, too")
     return VariedRobotTask(variants, {name: distributions[name].make() for name in fixed})
@@ -94,7 +94,7 @@ def _join(recipe: Recipe) -> RobotTask:
 
 
 MOST_WORLDS = 32
-"""Largest number of combinations of values. Each takes a world, which is 29 MB with PyBullet and 1.4 MB with MuJoCo."""
+"""Largest number of combinations of values. Each needs a world of 29 MB with PyBullet, 1.4 MB with MuJoCo."""
 
 
 class VariedRobotTask(Environment):
@@ -107,7 +107,7 @@ class VariedRobotTask(Environment):
         variants: the robot tasks, by the values of the settings.
         distributions: of each setting ("task.object_size"), in the order of the values.
 
-    Raises UsageError if agents or buffers would notice which of the settings is in force.
+    Raises UsageError if a signature differs between the settings.
     """
 
     def __init__(self, variants: Mapping[tuple[float, ...], RobotTask], distributions: Mapping[str, Choice]) -> None:
@@ -115,14 +115,14 @@ class VariedRobotTask(Environment):
         self._distributions = distributions
         self._drawn, self._current = next(iter(variants.items()))
         signature, names = self._current.signature, list(distributions)
-        for values, variant in variants.items():  # the first of them that is not alike differs in one setting
+        for values, variant in variants.items():  # the first different one differs in one setting
             differences = layout_differences(variant.signature, signature, learning=True)
             if not differences and _rules(variant.signature) != _rules(signature):
                 differences = ["episodes have another length, or another rule of reward and success"]
             if differences:
                 index = next(index for index, value in enumerate(values) if value != self._drawn[index])
                 raise UsageError(
-                    "a setting that is drawn must leave observations, actions, goals and rewards as they are: "
+                    "a sampled setting must not change observations, actions, goals and rewards: "
                     + "; ".join(differences),
                     setting=f"randomization.{names[index]}",
                     hint=f"give it one value: {names[index]}={self._drawn[index]:g}",
@@ -142,7 +142,7 @@ class VariedRobotTask(Environment):
         return self._current.step(action)
 
     def expert(self) -> Expert:
-        """As `RobotTask.expert`, for the current episode alone."""
+        """As `RobotTask.expert`, but only for the current episode."""
         return self._current.expert()
 
     def parameters(self) -> FloatArray:
@@ -181,7 +181,7 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
         drawn = distributions[name]
         if not isinstance(drawn.settings, Choice.Settings):
             raise UsageError(
-                f"{name} is fixed in a built world, so it cannot be drawn by {drawn.name!r}",
+                f"{name} is fixed in a built world, so it cannot be sampled by {drawn.name!r}",
                 setting=f"randomization.{name}",
                 hint="list values: {name: choice, values: [...]}; each has a world of its own",
             )
@@ -216,7 +216,7 @@ def _rules(signature: Signature) -> tuple[Any, ...]:
 
 
 Scale = tuple[str, tuple[float, ...]]
-"""Unit, and how far an action of 1 moves each number of a field in a control step."""
+"""Unit of a field, and the change of each of its numbers in a control step with an action of 1."""
 
 
 @dataclass(frozen=True)
@@ -229,15 +229,15 @@ class Facts:
     scales: dict[str, Scale]
     """Scale of each field of the robot's action; empty if the robot has no facts."""
     base: str | None
-    """Where the robot stands, from which positions depend: its setting `base`; None where it has none."""
+    """Where the robot stands (its setting `base`), which determines positions; None if it has no such setting."""
 
     def __deepcopy__(self, _: object) -> Facts:
-        """The same, which never changes: observations are copied often."""
+        """The same object, because it never changes: observations are copied often."""
         return self
 
     @classmethod
     def of(cls, environment: Environment) -> Facts:
-        """Those of an environment; nothing is simulated."""
+        """The facts of an environment; nothing is simulated."""
         robot = getattr(environment, "robot", None)
         facts: dict[str, Any] = getattr(robot, "facts", dict)()
         scales = {one["name"]: (one["unit"], tuple(one["scale"])) for one in facts.get("action", ()) if "scale" in one}
@@ -245,7 +245,7 @@ class Facts:
         return cls(environment.signature, environment.rate, scales, base)
 
     def differences(self, trained: Facts) -> list[str]:
-        """Why a policy that was trained under `trained` does not fit here, one line each."""
+        """Reasons why a policy trained under `trained` does not fit here, one line each."""
         lines = layout_differences(self.signature, trained.signature)
         if not isclose(self.rate, trained.rate, rel_tol=1e-6):
             lines.append(f"there are {self.rate:g} actions per second here and {trained.rate:g} there")

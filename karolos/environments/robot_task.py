@@ -31,8 +31,8 @@ FORCE_COLOUR = (0.84, 0.1, 0.5, 1.0)
 LONGEST_AGE = 0.15
 """s; the largest latency and jitter of a robot, together."""
 LEAST_SHOWN, LONGEST_SHOWN, LENGTH_OF_FORCE = 1.0, 20.0, 0.25
-"""Forces in N from which on a picture has an arrow and from which on it is no longer, and this length as a fraction of
-the camera's distance."""
+"""Smallest force with an arrow in a picture and force with the longest arrow, in N; length of the longest arrow as a
+fraction of the camera's distance."""
 
 
 class RobotTask(Environment):
@@ -50,28 +50,27 @@ class RobotTask(Environment):
 
     Raises:
         PluginError: robot and task are incompatible, or both declare a measure of one name.
-        UsageError: `omit` names a field that there is not, or the engine is not installed.
+        UsageError: `omit` names an unknown field, or the engine is not installed.
     """
 
     class Settings(BaseSettings):
         engine: Engine = Setting("mujoco", description="physics engine")
         substeps: int = Setting(10, ge=1, le=100, description="length of a control step in 1/240 s; 10 make 24 Hz")
         physics_rate: Literal[240, 480, 720, 960] = Setting(
-            PHYSICS_RATE, description="physics steps per second; more cost as much more and hardly change what happens"
+            PHYSICS_RATE,
+            description="physics steps per second; computing time is proportional, the motion hardly changes",
         )
         actions: Literal["continuous", "discrete"] = Setting(
-            "continuous", description="discrete: one full step along each action axis in both directions, and nothing"
+            "continuous", description="discrete: one full step along each action axis in both directions, or no motion"
         )
         omit: tuple[str, ...] = Setting(
             (), description="fields to leave out of the observation, e.g. [object_velocity]"
         )
-        critic_observes: tuple[str, ...] = Setting(
-            (), description="further fields that critics alone observe, of those that the task offers"
-        )
+        critic_observes: tuple[str, ...] = Setting((), description="fields of the task that only the critics observe")
         window: bool = Setting(False, description="show the world in a window; needs a display")
 
         def identity(self) -> dict[str, Any]:
-            """The settings that results depend on."""
+            """The settings that change results."""
             return self.model_dump(mode="json", exclude={"window"})
 
     def __init__(self, settings: RobotTask.Settings, *, robot: Robot, task: Task) -> None:
@@ -86,7 +85,7 @@ class RobotTask(Environment):
         robot.prepare(TaskNeeds(task.uses_gripper, period, task.control, task.protective_stop, task.fingers))
         ENGINES[settings.engine].check({**robot.engine_needs, **task.engine_needs})
         task.fit(robot)
-        blind = {"calibration_error"} if not task.observation.size else set()  # there is nothing for cameras to see
+        blind = {"calibration_error"} if not task.observation.size else set()  # cameras have nothing to film
         self.declared = {
             **{f"robot.{name}": parameter for name, parameter in robot.parameters.items() if name not in blind},
             **{f"task.{name}": parameter for name, parameter in task.parameters.items()},
@@ -118,7 +117,7 @@ class RobotTask(Environment):
             raise UsageError("nothing would be observed", setting="environment.omit", hint="leave out less")
         self._feels = any("wrench" in field.name for field in full.fields)
         self._columns: NDArray[np.intp] | None = None
-        """Those of the full observation that are kept; None: all."""
+        """Columns of the full observation that are kept; None: all."""
         if settings.omit:
             self._columns = np.concatenate([np.arange(full.size)[full.slice(field.name)] for field in kept])
         (low, high), extra = task.goal_rule.reward_range, task.extra_reward_range
@@ -141,9 +140,9 @@ class RobotTask(Environment):
         self._last: Step | None = None
         self._latency = self._jitter = 0.0
         self._before: deque[list[float]] = deque(maxlen=round(LONGEST_AGE * self.rate) + 2)
-        """What was observed in the last control steps, the newest first, where observations are late."""
+        """Observations of the last control steps, newest first, if observations are delayed."""
         self._reached: int | None = None
-        """Step since which the goal is reached; None where it is not."""
+        """Step since which the goal is reached; None if it is not reached."""
 
     def _measures(self) -> tuple[Measure, ...]:
         rule, task = type(self.task.goal_rule), self.task
@@ -164,17 +163,17 @@ class RobotTask(Environment):
         self._randomization = Randomization(distributions, self.declared)
         names = self._randomization.layout.names
         self._stages = {name.removeprefix(STAGE): k for k, name in enumerate(names) if name.startswith(STAGE)}
-        """Stage to begin in -> column of its probability among the parameters."""
+        """Stage -> column of its probability among the parameters."""
         self.signature = replace(self.signature, parameters=self._randomization.layout)
 
     @property
     def stops(self) -> int:
-        """Number of protective stops in the running episode, those that are only counted included."""
+        """Number of protective stops in the running episode, including stops that are only counted."""
         return self.robot.stops
 
     @property
     def camera(self) -> Camera:
-        """Where pictures are taken from: the task's camera, which moves with the robot's base."""
+        """Camera of pictures: the task's, moved with the robot's base."""
         x, y, z = (own + base for own, base in zip(self.task.camera.target, self.robot.base, strict=True))
         return replace(self.task.camera, target=(x, y, z), base=self.robot.base)
 
@@ -285,7 +284,7 @@ class RobotTask(Environment):
         return np.concatenate((observed, hidden)) if np.isfinite(hidden).all() else None
 
     def _late(self, values: list[float]) -> list[float]:
-        """What was observed as long ago as this episode's latency says; between control steps on the line between."""
+        """The observation from before this episode's latency, interpolated linearly between control steps."""
         before = self._before
         before.appendleft(values)
         age = self._latency + (float(self._generator.uniform(0.0, self._jitter)) if self._jitter else 0.0)
@@ -307,7 +306,7 @@ class RobotTask(Environment):
         return self._last._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
 
     def _not_finite(self) -> str | None:
-        """The task's first field that is not finite; None where the robot's are not, either: the physics diverged."""
+        """The task's first field that is not finite; None if the robot's are not, either: the physics diverged."""
         if not isfinite(sum(self.robot.observe())):
             return None
         task, seen = self.task, self.task.observe()
@@ -332,7 +331,7 @@ class RobotTask(Environment):
         return expert
 
     def parameters(self) -> FloatArray:
-        """The drawn values; for the probability of a stage to begin in, 1 if the episode began in it, or 0."""
+        """The sampled values; for the probability of a stage 1 if the episode began in it, else 0."""
         drawn = np.array(self._drawn, np.float32)
         for stage, column in self._stages.items():
             drawn[column] = stage == self.task.stage
@@ -340,7 +339,7 @@ class RobotTask(Environment):
 
     def measures(self) -> FloatArray:
         values: dict[str, Any] = {}
-        if self._last is not None and self._world is not None:  # it is closed where the physics diverged
+        if self._last is not None and self._world is not None:  # it is closed if the physics diverged
             rule, goals = self.task.goal_rule, (self._last.achieved_goal, self._last.desired_goal)
             values = {self.task.distance_measure.name: rule.distance(*goals), FINAL_ANGLE.name: rule.angle(*goals)}
             if self._reached is not None:
@@ -351,7 +350,7 @@ class RobotTask(Environment):
         return found
 
     def render(self, width: int = 640, height: int = 480) -> Array:
-        """The world, what the task draws, and the force at the tool where robot or task observe the wrench."""
+        """The world with the task's markers, and the force at the tool if robot or task observe the wrench."""
         [picture] = self.film(1, width, height)
         return picture
 

@@ -53,13 +53,11 @@ class Toy(Environment):
     """
 
     class Settings(BaseSettings):
-        dimensions: int = Setting(2, ge=1, le=16, description="of the space the point lives in")
+        dimensions: int = Setting(2, ge=1, le=16, description="dimensions of the space in which the point moves")
         threshold: float = Setting(0.1, gt=0, lt=1, description="distance at which the goal is reached")
         speed: float = Setting(0.2, gt=0, le=2, description="largest displacement per step along each axis")
         max_steps: int = Setting(20, ge=1, le=100_000, description="steps per episode")
-        reward: Literal["sparse", "dense"] = Setting(
-            "sparse", description="-1 until at the goal, or minus the distance"
-        )
+        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until success, or minus the distance")
 
     def __init__(self, settings: Toy.Settings) -> None:
         self.settings = settings

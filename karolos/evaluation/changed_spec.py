@@ -21,7 +21,7 @@ from .policies import Policy, engine_of, environment_of, has_window, load_agent,
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
 """Keys of a spec that define the environment of a test. The other keys define the training."""
 PARTS = ("robot", "task")
-"""Those whose parameters an override may set like settings."""
+"""Keys whose parameters an override may set like settings."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Player:
     """A policy and the environment to play it in."""
 
     spec: Spec
-    """Of the run, with what was changed."""
+    """The run's spec with the changes."""
     environment: Environment
     policy: Policy
     note: str | None
@@ -37,10 +37,10 @@ class Player:
 
 
 def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
-    """The spec with overrides of its environment. Its `randomization` is what a test draws.
+    """The spec with overrides of its environment. Tests sample its `randomization`.
 
-    Where the run's engine is not installed, another one takes its place. Where an arm has slow joints
-    (`ArmModel.tool_step`), episodes are longer by as much, unless an override says how long; a warning says so.
+    If the run's engine is not installed, another one replaces it. If an arm has slow joints (`ArmModel.tool_step`),
+    episodes become longer in the same proportion, unless an override sets their length. A warning says so.
 
     An override of a parameter that is not a setting, e.g. task.gravity=-5, replaces its distribution. Without
     `randomize` these are the only distributions.
@@ -62,7 +62,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
             hint = f"a test can change {', '.join(CHANGEABLE)}"
             if root == "testing":
                 hint = "use --episodes; `karolos test` has --seed, too"
-            raise UsageError(f"{override!r} is about training, not about the test", where="override", hint=hint)
+            raise UsageError(f"{override!r} changes the training, not the test", where="override", hint=hint)
     saved = playable(saved)
     parameters = _parameters(saved, overrides)
     own = [f"{RANDOMIZATION}.{text.strip()}" if _key(text) in parameters else text for text in overrides]
@@ -77,7 +77,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         raise UsageError(
             "randomization is off in a test",
             setting=RANDOMIZATION,
-            hint="give one parameter a value, e.g. task.gravity=-5; `karolos test --randomize` draws as in training",
+            hint="set one parameter, e.g. task.gravity=-5; `karolos test --randomize` samples as in training",
         )
     if not randomize:
         spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
@@ -94,9 +94,9 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
 
 
 def _with_time(spec: Spec, environment: Environment) -> Spec:
-    """The spec, with longer episodes where the arm's joints are slower than those of the built-in arms.
+    """The spec, with longer episodes if the arm's joints are slower than those of the built-in arms.
 
-    Actions are worth as much as in training. (With smaller ones a policy is slower yet: docs/what_was_tried.md.)
+    The scale of actions is that of training. (With smaller actions a policy is even slower: docs/what_was_tried.md.)
     """
     if not isinstance(environment, RobotTask) or spec.robot is None or spec.task is None:
         return spec
@@ -134,7 +134,7 @@ def load_player(
 
 
 def engine_note(saved: Spec, played: Spec) -> str | None:
-    """One line if a policy is played in another physics engine than it learned in; None otherwise."""
+    """One line if a policy is played in another physics engine than it was trained in; None otherwise."""
     own, other = engine_of(saved), engine_of(played)
     if own is None or other is None or other == own:
         return None
@@ -151,7 +151,7 @@ def _parameters(saved: Spec, overrides: Sequence[str]) -> set[str]:
     settings |= {f"{part}.name" for part in PARTS}
 
     def among(key: str, names: set[str]) -> bool:
-        return key in names or ".".join(key.split(".")[:2]) in names  # robot.gripper of robot.gripper.name
+        return key in names or ".".join(key.split(".")[:2]) in names  # e.g. robot.gripper for robot.gripper.name
 
     keys = {_key(text): text for text in overrides if _key(text).startswith(tuple(f"{part}." for part in PARTS))}
     others = {key: text for key, text in keys.items() if not among(key, settings)}

@@ -1,6 +1,6 @@
-"""Tests of an agent as it was at some step: played in this process, or in a second one while training goes on.
+"""Tests of an agent as it was at some step. They run in this process, or in a second one during training.
 
-A test depends on the agent's state and on fixed seeds alone. Its result is the same in every process.
+A test depends only on the agent's state and on fixed seeds. Its result is the same in every process.
 """
 
 from __future__ import annotations
@@ -24,16 +24,16 @@ from ..training.assembly import make_agent, make_orchestrator, use_threads
 from .testing import play_episodes
 
 NICENESS = 10
-"""Is added to the second process's priority value: it gets about a tenth of a core that another process wants, too."""
+"""Added to the priority value of the second process. On a busy core it gets about a tenth of the time."""
 PART = 50
-"""Episodes that a process plays at a time: of longer tests two processes play parts."""
+"""Largest number of episodes in a part of a test. Two processes share the parts of longer tests."""
 CLOSE_SECONDS = 3.0
-"""Seconds for an idle process to end before it is killed."""
+"""Seconds after which an idle process that does not end is killed."""
 
 
 @dataclass(frozen=True, eq=False)
 class DueEvaluation:
-    """A test that is due: the agent as it was, and how far training was."""
+    """A test that is due: the agent's state, and the progress of training at that time."""
 
     steps: int
     updates: int
@@ -45,7 +45,7 @@ class DueEvaluation:
 
     @cached_property
     def parts(self) -> tuple[DueEvaluation, ...]:
-        """The test in parts of PART episodes; itself if it has no more."""
+        """The test in parts of PART episodes, or as it is if it is shorter."""
         if len(self.seeds) <= PART:
             return (self,)
         return tuple(replace(self, seeds=self.seeds[first : first + PART]) for first in range(0, len(self.seeds), PART))
@@ -134,7 +134,7 @@ def _evaluator(resolved: str) -> Evaluator:
     use_threads(spec)
     part = spec.orchestrator
     if part.name == "local" and max(part.settings.processes, 1) * part.settings.threads == 1:
-        # No worker steps what this process can step itself instead of waiting.
+        # This process steps environments itself instead of waiting for a worker.
         spec = spec.having("orchestrator", processes=0)
     evaluator = Evaluator(spec)
     Finalize(None, evaluator.close, exitpriority=1)  # before the process waits for the environments' workers

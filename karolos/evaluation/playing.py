@@ -1,4 +1,4 @@
-"""Plays episodes of a policy step by step, to watch them or to count their successes."""
+"""Plays episodes of a policy step by step, to show them or to count successes."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class Moment:
     """One step of an episode."""
 
     episode: int
-    """From 0."""
+    """Number of the episode, from 0."""
     step: int
-    """0 right after the reset."""
+    """Steps so far; 0 after the reset."""
     success: bool
     over: bool
     """Whether the episode ends here."""
@@ -57,9 +57,9 @@ def play(environment: Environment, policy: Policy, *, episodes: int, seed: int) 
 def play_failures(
     environment: Environment, policy: Policy, *, episodes: int, seed: int, among: int = 1000
 ) -> Iterator[Moment]:
-    """Play the first `episodes` failures among the first `among` test episodes of `seed`; the others are not shown.
+    """Play the first `episodes` failures among the first `among` test episodes of `seed`. Other episodes are not shown.
 
-    A failure is played twice, because only its end shows that it is one.
+    A failure is played twice, because only the end of an episode shows that it failed.
 
     Raises UsageError if the environment does not define success, or if none of these episodes fails.
     """
@@ -112,7 +112,7 @@ def evaluate(
     seed: int,
     heard: Callable[[Moment], object] = lambda _: None,
 ) -> Evaluation:
-    """Play test episodes as `play` does, with a policy that did not train; `heard` is called with each moment."""
+    """Play test episodes as `play` does, with an untrained policy. `heard` is called with each moment."""
     resets: list[bool] = []
     reached: list[bool] = []
     ends: list[Moment] = []

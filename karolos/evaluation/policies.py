@@ -41,21 +41,21 @@ class Policy:
 
 @dataclass(frozen=True)
 class Learned:
-    """What the agent of a run has learned."""
+    """The learned policy of a run."""
 
     run: str
     checkpoint: str
     sha256: str
-    """Hash of the agent's state in the checkpoint, in hexadecimal digits."""
+    """SHA-256 of the agent's state in the checkpoint, in hexadecimal digits."""
     steps: int
     """Environment steps of its training."""
     seconds: float
     """Wall-clock seconds of collecting and learning of its training."""
     state: State | Deployed
-    """The state; of a run that ships its policy."""
+    """The state; for a shipped run its policy."""
 
     def record(self) -> dict[str, object]:
-        """For the events of a run that starts from it."""
+        """Description for the events of a run that starts from it."""
         return {"run": self.run, "checkpoint": self.checkpoint, "sha256": self.sha256, "steps": self.steps}
 
 
@@ -77,7 +77,7 @@ class SavedAgent(Learned):
         return self.facts.signature
 
     def __repr__(self) -> str:
-        """Two lines: whose policy it is and how good, and what goes in and out."""
+        """Two lines: run and success of the policy, and its inputs and outputs."""
         test, signature, good = self.tested, self.signature, "not tested"
         if test is not None:
             good = f"success {test.success_end:.2f}" if test.has_success else f"return {test.mean_return or 0:.2f}"
@@ -99,11 +99,11 @@ class SavedAgent(Learned):
     def act(self, observation: ArrayLike | Mapping[str, ArrayLike], goal: ArrayLike | None = None) -> NDArray[Any]:
         """The action for an observation and its desired goal, without exploration.
 
-        An observation of one of karolos' gymnasium environments knows where it comes from. It is refused if layouts,
-        rate or the scale of actions are others there than in training. Of other arrays only sizes can be checked.
+        An observation of one of karolos' gymnasium environments knows its environment. It is refused if layouts, rate
+        or scale of actions differ from training. For other arrays only the size can be checked.
 
         Args:
-            observation: (o,), or (n, o) for n actions, with or without the columns that critics alone observe; or the
+            observation: (o,), or (n, o) for n actions, with or without the columns that only critics observe; or the
                 dict of a gymnasium environment, which holds the goal, too.
             goal: (g,) or (n, g); may be left out if the environment has no goal.
 
@@ -135,7 +135,7 @@ class SavedAgent(Learned):
         return actions if ahead else actions[0]
 
     def _check_origin(self, observation: Mapping[str, Any]) -> None:
-        """Raise UsageError for an observation of an environment that the policy does not fit."""
+        """Raise UsageError if the policy does not fit the environment of an observation."""
         own = "karolos.load(...).environment() is what it was trained in"
         if differences := getattr(observation, "facts", self.facts).differences(self.facts):
             what = f"{self.run} was trained in another environment: " + "; ".join(differences)
@@ -154,7 +154,7 @@ class SavedAgent(Learned):
 
 
 def read_learned(folder: RunFolder, name: str) -> Learned:
-    """What a checkpoint holds; of a run that ships, which has no checkpoints, its policy, whatever the name.
+    """The content of a checkpoint. A shipped run has no checkpoints: the result is its policy, for each name.
 
     Raises RunError if the checkpoint is missing or damaged.
     """
@@ -180,7 +180,7 @@ def engine_of(spec: Spec) -> PhysicsEngine | None:
 
 
 def playable(spec: Spec) -> Spec:
-    """The spec, with another engine where its own is not installed."""
+    """The spec, with another engine if its own is not installed."""
     engine = engine_of(spec)
     if engine is None or engine.installed:
         return spec
@@ -198,7 +198,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
 
     Args:
         folder: the run's.
-        name: `best` or `last`; a run that ships has one policy, which is `last`.
+        name: `best` or `last`; a shipped run has one policy, `last`.
 
     Raises:
         RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
@@ -225,8 +225,8 @@ def load_run(
     """`karolos.load`: the policy of a run.
 
     Args:
-        run: the path of a run folder; or what the command line takes: @last, an id, an experiment's name; or the name
-            of a policy that ships, such as panda_pick.
+        run: the path of a run folder; @last, an id or an experiment's name, as on the command line; or the name of a
+            shipped policy, such as panda_pick.
         checkpoint: `best` or `last`.
         runs: the runs folder.
         database: URL of the database; by default the one in the runs folder.
@@ -252,9 +252,9 @@ def make(
     """The gymnasium environment that a spec describes, with all its settings.
 
     Args:
-        what: a spec file, or the name of a spec that ships, such as panda_push; a run, as `karolos.load` takes it; or a
-            Spec. A file comes first, then a spec that ships, then a run. `shipped:panda_push` is the run that ships.
-        randomize: whether to draw the spec's `randomization` at each reset, as training does and tests do not.
+        what: a spec file, the name of a shipped spec such as panda_push, a run as in `karolos.load`, or a Spec. A file
+            comes first, then a shipped spec, then a run. `shipped:panda_push` means the shipped run.
+        randomize: whether to sample the spec's `randomization` at each reset, as in training. Tests do not.
         render_mode: None, "rgb_array", or "human": a window, if the engine has one.
         width: of a picture in pixels.
         height: of a picture in pixels.

@@ -1,4 +1,4 @@
-"""Tests: episodes on fixed seeds, without exploration and apart from training."""
+"""Tests: episodes on fixed seeds, without exploration and separate from training."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..records.evaluation import Evaluation
 
 @dataclass(frozen=True)
 class Seeds(Sequence[int]):
-    """Seeds of test episodes. A seed is made when it is asked for: a million take 14 seconds."""
+    """Seeds of test episodes. A seed is computed on access: a million take 14 seconds."""
 
     tree: SeedTree
     places: range
@@ -38,7 +38,7 @@ class Seeds(Sequence[int]):
 
 
 def test_seeds(root: int, episodes: int) -> Seeds:
-    """Seeds of the test episodes. All runs with the same `testing.seed` have the same ones and are therefore paired."""
+    """Seeds of the test episodes. Runs with the same `testing.seed` have the same ones and are therefore paired."""
     return Seeds(SeedTree(root).child("test"), range(episodes))
 
 
@@ -57,7 +57,7 @@ def play_episodes(
 ) -> Evaluation:
     """Play one episode per seed with the deterministic policy. No episode runs afterwards.
 
-    Environment k mod size plays seed k. To take the episodes that end first would favour short episodes, which are the
+    Environment k mod size plays seed k. Taking the episodes that end first would favour short episodes, and these are
     successes.
 
     Args:
@@ -88,7 +88,7 @@ def play_episodes(
     """The episode of each environment; an environment whose episode is `count` or more has finished."""
 
     def begin(environments: NDArray[np.int64]) -> None:
-        """Begin the episodes of these environments, and begin again those that fail meanwhile."""
+        """Begin the episodes of these environments. If one fails, begin it again."""
         while environments.size:
             orchestrator.reset(environments, [seeds[episode] for episode in playing[environments].tolist()])
             received = orchestrator.receive()
@@ -99,7 +99,7 @@ def play_episodes(
             environments = after(received)
 
     def after(received: Received) -> NDArray[np.int64]:
-        """The environments that failed or whose episode is over, and that have another one to begin.
+        """The environments that must begin another episode: they failed, or their episode is over.
 
         An episode is over at its reset if its simulation diverges there.
         """

@@ -14,11 +14,11 @@ from ..records import checkpoint as checkpoints
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation
 from ..records.run_records import timestamp
-from ..records.shipped import is_shipped
+from ..records.shipped import is_shipped, results_of
 from ..specification import Spec
 from ..training.assembly import make_orchestrator, use_threads
 from .changed_spec import changed_spec, engine_note
-from .policies import engine_of, load_agent, playable
+from .policies import Learned, engine_of, load_agent, playable
 from .testing import play_episodes, test_seeds
 
 REQUEST = "test.json"
@@ -28,7 +28,7 @@ REQUEST = "test.json"
 class ZeroShotTest:
     """A test that another process plays: the content of test.json in a folder of its own.
 
-    The result goes into the folder of the policy's run, as that of `karolos test`.
+    The result goes into the folder of the policy's run, as with `karolos test`.
     """
 
     run: str
@@ -42,13 +42,13 @@ class ZeroShotTest:
 
     @classmethod
     def read(cls, folder: Path) -> ZeroShotTest | None:
-        """The test of a folder; None if it is not a test's. Raises RunError if it is damaged."""
+        """The test of a folder; None if the folder holds no test. Raises RunError if it is damaged."""
         path = folder / REQUEST
         if not path.is_file():
             return None
         test = from_json(cls, read_object(path) or {})
         if test is None:
-            raise RunError("it says no test", where=str(path), hint="remove the folder")
+            raise RunError("test.json is missing a valid test", where=str(path), hint="remove the folder")
         return test
 
     def write(self, folder: Path) -> None:
@@ -86,19 +86,19 @@ def zero_shot_test(
 ) -> Evaluation:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
-    Nothing is written for a run that ships.
+    Nothing is written for a run that ships: see `keep`.
 
-    The result has the numbers of the same policy on the same episodes under the unchanged spec. They come from the
-    final test if that played these episodes; otherwise they are played, too. Where the run's engine is not installed,
-    another one takes its place, and the result's overrides name it.
+    The result also has the numbers of the same policy in the same episodes under the unchanged spec. They come from the
+    final test if it played these episodes; otherwise they are played, too. If the run's engine is not installed,
+    another one replaces it, and the result's overrides name it.
 
     Args:
         folder: the run's.
         overrides: as for `changed_spec`.
         checkpoint: `best` or `last`.
         episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
-        seed: root of the episodes' seeds; by default that of the final test, on whose episodes nothing was chosen.
-        randomize: whether to draw the spec's `randomization` at each reset.
+        seed: root of the episodes' seeds; by default that of the final test, whose episodes are held out.
+        randomize: whether to sample the spec's `randomization` at each reset.
         on_warning: is called with one line if the policy learned in another physics engine, and for each failure of an
             environment, whose episode is then played again.
         on_round: as for `play_episodes`; nothing is written if it raises an error.
@@ -138,22 +138,46 @@ def zero_shot_test(
     wall_seconds = time.perf_counter() - started
     own = result
     if overrides or randomize:
-        policy = saved.sha256, seed
-        known = (one for one in folder.final().values() if (one.sha256, one.seed) == policy and one.episodes >= count)
-        final = next(known, None)
-        own = play(here, drawing=False) if final is None else Evaluation.joined([final], count)
-    transfer = replace(
-        result,
-        time=timestamp(),
-        checkpoint=saved.checkpoint,
-        sha256=saved.sha256,
+        own = final_of(folder, saved, seed, count) or play(here, drawing=False)
+    test = replace(
+        tested_by(saved, result),
         overrides=tuple(overrides),
         randomized=randomize,
         seed=seed,
         wall_seconds=wall_seconds,
         own=own.counts,
+    )
+    keep(folder, test)
+    return test
+
+
+def final_of(folder: RunFolder, saved: Learned, seed: int, count: int) -> Evaluation | None:
+    """The first episodes of the final test of this policy, if it played them."""
+    known = (one for one in folder.final().values() if (one.sha256, one.seed) == (saved.sha256, seed))
+    final = next((one for one in known if one.episodes >= count), None)
+    return final and Evaluation.joined([final], count)
+
+
+def keep(folder: RunFolder, test: Evaluation, runs: Path | None = None) -> None:
+    """Write a test under changed settings where `results_of` says; of a run that ships nowhere without a runs folder.
+
+    Raises MachineError.
+    """
+    if runs is not None or not is_shipped(folder):
+        kept = results_of(folder, runs or Path())
+        with writing(kept.path):
+            kept.path.mkdir(parents=True, exist_ok=True)
+        kept.add_transfer(test)
+
+
+def tested_by(saved: Learned, result: Evaluation) -> Evaluation:
+    """The result, which says which policy played, when, and with which software."""
+    return replace(
+        result,
+        steps=saved.steps,
+        seconds=saved.seconds,
+        checkpoint=saved.checkpoint,
+        sha256=saved.sha256,
+        time=timestamp(),
         versions=provenance.versions(),
     )
-    if not is_shipped(folder):
-        folder.add_transfer(transfer)
-    return transfer

@@ -19,7 +19,7 @@ from .writer import RunWriter
 
 BEST = "best"
 TEST = ("steps", "updates", "seconds", "agent")
-"""What `last` contains of a pending test."""
+"""Values of a pending test that `last` contains."""
 
 
 @dataclass
@@ -32,7 +32,7 @@ class Checkpointer:
         writer: of the run.
         spec: of the run.
         seed: the run's.
-        pending: tests without a recorded result, which the caller changes; `last` contains them.
+        pending: tests without a recorded result; the caller changes the list, and `last` contains it.
     """
 
     writer: RunWriter
@@ -42,13 +42,13 @@ class Checkpointer:
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
     diverged: list[bool] = field(default_factory=list, init=False)
-    """Of each training episode since they were last judged, whether it diverged."""
+    """Whether each training episode since the last judgement diverged."""
     _best: tuple[float, ...] = field(default=(-1.0,), init=False)
     """`_rank` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
     """Environment steps and pending tests at the last checkpoint `last`."""
     last_is_whole: bool = field(default=False, init=False)
-    """Whether the run resumed from `last`, or wrote it. One that may be damaged does not replace `previous`."""
+    """Whether the run resumed from `last` or wrote it. A `last` that may be damaged does not replace `previous`."""
 
     @property
     def _folder(self) -> RunFolder:
@@ -63,7 +63,7 @@ class Checkpointer:
     def _choose(self, test: DueEvaluation, result: Evaluation) -> None:
         """Write the tested agent as `best` if no earlier test is better."""
         rank = _rank(result)
-        if rank >= self._best:  # of equal tests the later one, whose agent has learned longer
+        if rank >= self._best:  # among equal tests the later one, because its agent has learned longer
             chosen_by: dict[str, float | None] = {"success_any": result.success_any, "success_end": result.success_end}
             if not result.has_success:
                 chosen_by = {"mean_return": result.mean_return}
@@ -146,7 +146,7 @@ class Checkpointer:
 
 
 def _rank(result: Evaluation) -> tuple[float, ...]:
-    """What the best test has most of: success, or return where the environment defines no success."""
+    """Key by which tests are compared: success, or return if the environment does not define success."""
     if result.success_end is None or result.success_any is None:
         return 0.0, result.known_return
     return 1.0, result.success_end, result.success_any

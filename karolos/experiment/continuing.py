@@ -1,4 +1,4 @@
-"""Continues a finished run for more steps, as a run of its own that begins at its last checkpoint."""
+"""Continues a finished run for more steps, as a new run that begins at the last checkpoint."""
 
 from __future__ import annotations
 
@@ -14,39 +14,39 @@ from .resume import LAST, check_files, find_run
 from .writer import RunWriter
 
 CHANGEABLE = ("name", "training.steps", "training.device", "training.threads", "training.diverging")
-"""Settings that do not change what the steps before have made."""
+"""Settings that do not change the results of the earlier steps."""
 
 
 def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
     """The spec of the run that goes on from the end of a finished one.
 
     Raises:
-        UsageError: the run is not finished or ships without a checkpoint, an override changes more than CHANGEABLE, or
-            there are no more steps to take.
+        UsageError: the run is not finished or was shipped without a checkpoint, an override changes more than
+            CHANGEABLE, or training.steps is not larger.
         SpecError: an override is not valid.
     """
     for override in overrides:
         if override.partition("=")[0].strip() not in CHANGEABLE:
             hint = f"these can change: {', '.join(CHANGEABLE)}; agent.start_from={source.id} begins a new run"
-            raise UsageError("a run goes on with the settings that it began with", where=override, hint=hint)
+            raise UsageError("this setting cannot change when a run is continued", where=override, hint=hint)
     state = source.state()
     if state.state != "finished":
         hint = f"first `karolos resume {source.id}`, without settings"
-        raise UsageError(f"only a finished run goes on with other settings; this one is {state.state}", hint=hint)
+        raise UsageError(f"only a finished run can be continued; this one is {state.state}", hint=hint)
     if LAST not in checkpoint.names(source.checkpoints):
         hint = f"agent.start_from={source.id} begins a new run from its policy"
-        raise UsageError(f"{source.id} has no checkpoint {LAST!r} to go on from", hint=hint)
+        raise UsageError(f"{source.id} has no checkpoint {LAST!r} to continue from", hint=hint)
     steps = checkpoint.read_meta(source.checkpoints, LAST)["steps"]
     origin = {"experiment": source.description()["experiment"], "at": steps}
     spec = spec_from_dict(source.spec() | {"continued_from": origin}, overrides)
     if spec.training.steps <= steps:
         what = f"the run has taken {steps:,} steps, and training.steps is {spec.training.steps:,}"
-        raise UsageError(what, setting="training.steps", hint=f"name more, e.g. training.steps={2 * steps}")
+        raise UsageError(what, setting="training.steps", hint=f"give a larger number, e.g. training.steps={2 * steps}")
     return spec
 
 
 def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolder:
-    """The run of `continued_spec`: one that exists, or a new one that has all that the source's has.
+    """The run of `continued_spec`: the existing one, or a new one with everything that the source has.
 
     Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
     """

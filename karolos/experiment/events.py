@@ -1,4 +1,4 @@
-"""What a run tells its listener: plain values that can cross a process boundary."""
+"""Events of a run for its listener: plain values that can cross a process boundary."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from ..records.evaluation import Evaluation
 
 @dataclass(frozen=True)
 class RunLaunched:
-    """A launcher has the run, which waits for its start. Runs of this process do not send it."""
+    """A launcher has accepted the run, which waits for its start. Runs in this process do not send it."""
 
     run: str
 
 
 @dataclass(frozen=True)
 class RunStarted:
-    """The run has its folder and begins to build environments and agent."""
+    """The run has its folder and starts to build environments and agent."""
 
     run: str
     seed: int
@@ -41,7 +41,7 @@ class RunAdvanced:
 
 @dataclass(frozen=True)
 class RunBusy:
-    """The run does something else than training; sent at most ten times a second, and when it is done."""
+    """The run does something other than training; sent at most ten times a second, and at its end."""
 
     run: str
     activity: str

@@ -1,4 +1,4 @@
-"""Ctrl-C while a command imports its libraries, and SIGTERM where nothing else handles it. Imports next to nothing."""
+"""Handles Ctrl-C while a command imports its libraries, and SIGTERM if nothing else does. Imports almost nothing."""
 
 import os
 import signal
@@ -6,7 +6,7 @@ import threading
 
 
 class BriefInterrupt:
-    """While it is entered, Ctrl-C is one line and exit code 130: an import could turn it into another error."""
+    """Inside the block Ctrl-C gives one line and exit code 130. An import could turn it into another error."""
 
     def __enter__(self) -> None:
         usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it

@@ -14,7 +14,7 @@ from typing_extensions import override
 from .tracking import Tracked, Tracker
 
 PARAMS = 100
-"""Most in one batch."""
+"""Largest number of values in one batch."""
 STATES = {"finished": "FINISHED", "failed": "FAILED"}
 
 

@@ -1,4 +1,4 @@
-"""The tests of a run that are due: plays them here, or in a second process during training."""
+"""Plays the tests of a run that are due: in this process, or in a second one during training."""
 
 from __future__ import annotations
 
@@ -20,33 +20,33 @@ from .writer import RunWriter
 MEASURED_SECONDS = 1.0
 """Seconds of testing in the run's own process after which it considers a second process."""
 WORTHWHILE_SECONDS = 4.0
-"""Seconds of testing left from which a second process is started: it needs about two seconds to start."""
+"""A second process is started if at least this many seconds of testing are left. Its start takes about two seconds."""
 MAX_WAITING = 1
-"""Tests that may wait for the second process while training goes on. Training waits for those before."""
+"""Number of tests that may wait for the second process during training. Training waits for earlier tests."""
 MAX_LOST_PROCESSES = 3
-"""Second processes that may be lost until tests are played in the run's own process only."""
+"""Number of lost second processes after which the run's own process plays all tests."""
 
 
 class PendingTests:
     """Plays the tests of a run in the order in which they are due.
 
-    A test consists of parts. Where a part is played does not change its result.
+    A test consists of parts. The process that plays a part does not change its result.
 
     * The first test is played when it is due, and training waits for it: a person waits for its result.
     * The run's own process plays tests until they are long enough for a second process, which is then started.
-    * From then on training goes on during a test. When the next test is due, training waits until the one before is
+    * From then on training goes on during a test. When the next test is due, training waits until the test before is
       over: on a busy machine the second process may hardly run.
-    * After training both processes play what is left.
+    * After training both processes play the remaining tests.
 
-    A process without another part plays the part of the other one as well, and the first result counts: a second
-    process that hangs costs no more than it would have spared.
+    A process without a part of its own also plays the part of the other process, and the first result counts. A second
+    process that hangs therefore costs no more time than it would have saved.
 
     Args:
         spec: of the run.
         training: is tested.
         pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
         writer: of the run, for warnings and the progress of tests.
-        stop: a request breaks off the part that is played here. The tests stay pending.
+        stop: a request aborts the part that is played here. The tests stay pending.
         two_processes: whether a second process may be started.
     """
 
@@ -63,7 +63,7 @@ class PendingTests:
         self._spec, self._training, self.pending = spec, training, pending
         self._writer, self._stop = writer, stop
         self.activity = "testing"
-        """For announcements."""
+        """Word for announcements."""
         self._any_finished = False
         """Whether this process has seen a result."""
         self._results: dict[DueEvaluation, Evaluation] = {}
@@ -79,7 +79,7 @@ class PendingTests:
         """Episodes that were completed in this process, and the seconds that they took."""
 
     def add(self) -> None:
-        """Add a test of the agent as it is, and play here what may not wait."""
+        """Add a test of the current agent, and play the tests that may not wait."""
         training, testing = self._training, self._spec.testing
         seeds = test_seeds(testing.seed, testing.episodes)
         self.pending.append(
@@ -88,7 +88,7 @@ class PendingTests:
         self.catch_up()
 
     def catch_up(self) -> None:
-        """Play tests here until no more wait than may wait during training."""
+        """Play tests here until only the number that may wait during training is left."""
         while not self._stop.requested:
             most = MAX_WAITING if self._process is not None and self._any_finished else 0
             if self._waiting() <= most:
@@ -104,24 +104,24 @@ class PendingTests:
             yield from self.finished()
 
     def finished(self) -> Iterator[tuple[DueEvaluation, Evaluation]]:
-        """Remove the tests that are over from `pending`; a test waits for those before it."""
+        """Remove finished tests from `pending`, in order: a test waits for the tests before it."""
         while self.pending and self._is_over(self.pending[0]):
             self._any_finished = True
             test = self.pending.pop(0)
             yield test, Evaluation.joined([self._results.pop(part) for part in test.parts])
 
     def _play_here(self) -> None:
-        """Play the next part in this process. Breaks off at a stop, and when the second process was faster."""
+        """Play the next part in this process. Aborts at a stop, or if the second process was faster."""
         part = self._here = next(self._parts(taken=False), None) or next(self._parts())
         started, spent, played = perf_counter(), self._spent, self._played
 
         def on_round(completed: int) -> None:
             self._tell(completed)
-            # What tests take decides whether a second process is started.
+            # The duration of tests decides whether a second process is started.
             self._spent, self._played = spent + perf_counter() - started, played + completed
             if self._is_process_worthwhile():
                 self._process = EvaluationProcess(self._spec)
-            # The second process may wait for another part, or have played this one.
+            # The second process may wait for another part, or may have played this one.
             self.advance()
             if part in self._results or self._stop.requested:
                 raise StopRequestedError
@@ -134,7 +134,7 @@ class PendingTests:
         self._here = None
 
     def _is_process_worthwhile(self) -> bool:
-        """Whether the tests played here say that a second process would spare more time than its start takes."""
+        """Whether a second process would save more time than its start takes, by the tests played here."""
         if self._process is not None or not self._processes_left or self._spent < MEASURED_SECONDS:
             return False
         testing, steps = self._spec.testing, self._spec.training.steps - self._training.steps
@@ -157,7 +157,7 @@ class PendingTests:
                 self._there = None
             if (free := next(self._parts(taken=False), None)) is not None:
                 self._there = free, self._process.submit(free)
-        except Exception as error:  # whatever it is, it must not cost the run
+        except Exception as error:  # no error here may end the run
             self._writer.warn(f"the test process failed: {type(error).__name__}: {error}", "its test is played again")
             self._processes_left -= 1
             self._close_process()
@@ -169,7 +169,7 @@ class PendingTests:
         self._tell()
 
     def _tell(self, playing: int = 0) -> None:
-        """Announce the episodes of pending tests that are over; `playing`: of these, those of the part played here."""
+        """Announce the finished episodes of pending tests; `playing`: those of the part that is played here."""
         done = playing + sum(result.episodes for result in self._results.values())
         self._writer.announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
 

@@ -1,4 +1,4 @@
-"""Finds the run to resume, and the checkpoint from which it resumes."""
+"""Finds the run to resume and its checkpoint."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from ..records.run_folder import renamed
 from ..specification import Spec
 
 LAST, PREVIOUS = "last", "previous"
-"""The newest checkpoint that a run can resume from, and the one before it, for a damaged `last`."""
+"""The newest checkpoint that a run can resume from, and the one before it, used if `last` is damaged."""
 PARTS = ("agent", "buffer", "training", "run")
-"""What such a checkpoint contains."""
+"""Parts of such a checkpoint."""
 
 
 @dataclass(frozen=True)
@@ -24,13 +24,13 @@ class Snapshot:
     """Where a run resumes."""
 
     parts: dict[str, State]
-    """Of the checkpoint; empty if the run has no checkpoint and begins again."""
+    """The checkpoint's parts; empty if the run has no checkpoint and begins again."""
     meta: dict[str, Any]
-    """Of the checkpoint: experiment, seed, steps, updates, seconds, episodes_bytes."""
+    """The checkpoint's facts: experiment, seed, steps, updates, seconds, episodes_bytes."""
     checkpoint: str | None = None
-    """Its name."""
+    """The checkpoint's name."""
     warnings: tuple[str, ...] = ()
-    """Which checkpoints are damaged, and why."""
+    """Damaged checkpoints and the reasons."""
 
 
 def newest_snapshot(folder: RunFolder) -> Snapshot:
@@ -68,7 +68,7 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
 
 
 def check_files(spec: Spec, folder: RunFolder) -> None:
-    """Raise a RunError if a file that the run's spec names is not the one that the run was made with."""
+    """Raise a RunError if a file that the run's spec names has changed since the run was made."""
     made, now = folder.description().get("files") or {}, spec.files()
     if changed := sorted(path for path, digest in made.items() if now.get(path) != digest):
         what = f"the file of {' and '.join(changed)}, or one that it names, was changed or is missing"
@@ -87,7 +87,7 @@ def find_run(runs: Path, name: str, experiment: str, seed: int) -> RunFolder | N
     found: list[tuple[bool, int, str, RunFolder]] = []
     for folder in (*scan(runs, f"{name}-s{seed}-*"), *renamed(runs)):
         if isinstance(folder, RunError):
-            raise folder  # it may be the one: its training would be made again
+            raise folder  # it may be the right one: its training would be repeated
         description = folder.description()
         if (description["experiment"], description["seed"]) == (experiment, seed):
             state = folder.state()

@@ -1,6 +1,6 @@
 """One run: one spec, one seed, from an empty folder to the end.
 
-Run prepares training, alternates it with tests, has everything written down and then tells the listener.
+Run prepares training, alternates it with tests, writes everything down and then tells the listener.
 """
 
 from __future__ import annotations
@@ -35,9 +35,9 @@ from .writer import Ending, RunWriter
 
 REPORTS_PER_TEST = 10
 JUDGED_EPISODES = 20
-"""Fewest training episodes of which the share that diverged is judged, but at the end of training."""
+"""Smallest number of training episodes whose share of divergence is judged before the end of training."""
 DIVERGING = 0.01
-"""Share of training episodes that diverged from which a run warns."""
+"""Share of diverged training episodes above which a run warns."""
 
 
 @dataclass
@@ -49,7 +49,7 @@ class Run:
         seed: root of the run's random numbers.
         folder: the run's own, created and locked.
         url: SQLAlchemy URL of the results database; None: another process indexes the run.
-        listener: is told what happens.
+        listener: receives the events.
         stop: is checked after each round.
         snapshot: where an unfinished run resumes; None: the run starts.
         two_processes: whether a second process may play tests while this one trains.
@@ -71,7 +71,7 @@ class Run:
         self._checkpointer = Checkpointer(self._writer, self.spec, self.seed, self._pending)
 
     def execute(self) -> RunSummary:
-        """Train, test and write down. An error ends this run only: it is written down, and other seeds can run."""
+        """Train, test and record. An error ends only this run: it is recorded, and other seeds can run."""
         self.listener(RunStarted(self.folder.id, self.seed, self.spec.training.steps, str(self.folder.path)))
         try:
             self._writer.start(self.snapshot, learner(self.spec), exact=self.spec.training.at_least is None)
@@ -79,12 +79,12 @@ class Run:
         except KeyboardInterrupt:
             self._end(Ending("stopped", reason=f"{self.stop.reason or 'KeyboardInterrupt'}, at once"))
             raise
-        except StopRequestedError:  # something was broken off; checkpoints are as before
+        except StopRequestedError:  # something was aborted; the checkpoints are unchanged
             ending = Ending("stopped", reason=self.stop.reason)
         except KarolosError as error:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
-        except (Exception, SystemExit) as error:  # the boundary: a fault of karolos or a plugin is written down
+        except (Exception, SystemExit) as error:  # the boundary: a fault of karolos or a plugin is recorded
             ending = Ending("failed", error=described(error), traceback=traceback.format_exc())
         self._end(ending)
         return self.folder.summary()
@@ -127,7 +127,7 @@ class Run:
         return Ending("finished", totals) if finished else Ending("stopped", totals, self.stop.reason)
 
     def _prepare(self, training: Training) -> bool:
-        """Start or resume, and collect demonstrations that are missing. Returns False if a stop is requested."""
+        """Start or resume, and collect missing demonstrations. Returns False if a stop is requested."""
         resumes = self.snapshot is not None and bool(self.snapshot.parts)
         if self.snapshot is not None:
             self._resume(training, self.snapshot)
@@ -177,7 +177,7 @@ class Run:
             with self.stop.at_once():
                 self._pending += self._checkpointer.restore(training, snapshot.parts)
             self._checkpointer.last_is_whole = snapshot.checkpoint == LAST
-            snapshot.parts.clear()  # the run goes on for hours, and the buffer need not be in memory twice
+            snapshot.parts.clear()  # the run takes hours, and the buffer shall not be in memory twice
         else:
             self._writer.warn("the run has no checkpoint", "it begins again")
 
@@ -213,13 +213,13 @@ class Run:
             for test, result in tests.play_remaining():
                 self._tested(training, test, result)
         self._checkpointer.save(training)
-        if tests.pending and self.stop.reason != "pruned":  # such a trial does not go on
+        if tests.pending and self.stop.reason != "pruned":  # such a trial cannot be resumed
             late = ", ".join(f"{test.steps:,}" for test in tests.pending)
             self._writer.warn(f"no test was played after {late} steps, where it is due", "a resumed run plays it")
         return training.over and not tests.pending
 
     def _judge(self, diverged: list[bool], steps: int) -> None:
-        """Write down how many episodes diverged. Raises RunError if they are more than the spec allows."""
+        """Record the number of diverged episodes. Raises RunError if the spec does not allow this share."""
         if not (count := sum(diverged)):
             return
         self.folder.event("diverged", steps=steps, episodes=len(diverged), diverged=count)
@@ -231,13 +231,13 @@ class Run:
             self._writer.warn(what, "the agent does not learn from their last steps")
 
     def _report(self, training: Training, episodes: list[Episode]) -> None:
-        """Report the episodes and the agent's metrics since the last report. Raises RunError if one is not finite."""
+        """Report episodes and metrics of the agent since the last report. Raises RunError if a metric is not finite."""
         metrics = training.read_metrics()
         self._writer.write_episodes(episodes, training.orchestrator.signature.parameters.names)
         self._points.add_report(training, episodes, metrics)
 
     def _test(self, training: Training, tests: PendingTests, *, due: bool) -> None:
-        """Add a test if one is due, and record the tests that are over."""
+        """Add a test if one is due, and record finished tests."""
         tests.advance()
         if due:
             tests.add()
@@ -247,7 +247,7 @@ class Run:
             self._checkpointer.save(training)
 
     def _tested(self, training: Training, test: DueEvaluation, result: Evaluation) -> None:
-        """Write a test down, and tell the listener when everything is written."""
+        """Record a test, then tell the listener."""
         self._writer.write_test(training, result)
         self._points.add_test(result)
         self._checkpointer.tested(training, test, result)
@@ -287,7 +287,7 @@ class Run:
 def run_or_resume(
     folder: RunFolder, url: str | None, listener: Listener, stop: StopRequest, *, two_processes: bool
 ) -> RunSummary:
-    """Execute the run of a folder, or resume it from its newest checkpoint if it has begun. A finished run stays so.
+    """Execute the run of a folder, or resume it from its newest checkpoint. A finished run does not change.
 
     Arguments are those of `Run`.
 

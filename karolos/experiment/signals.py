@@ -21,15 +21,15 @@ from ..core import Orchestrator
 TIME_LIMIT_EXIT = 124
 """Exit code of an experiment that its time limit stopped; the same as that of timeout(1)."""
 LOOK_SECONDS = 0.2
-"""Time between two looks for a request, e.g. the file `stop`."""
+"""Time between two checks for a request, e.g. the file `stop`."""
 GRACE_SECONDS = 0.6
-"""Time after a request in which environments have to answer. Then the round is broken off."""
+"""Time after a request in which environments must answer. Then the round is aborted."""
 HANG_SECONDS = 60.0
-"""Time after the time limit from which anything else is broken off, e.g. an environment whose `close` hangs."""
+"""Time after the time limit when anything else is aborted, e.g. an environment whose `close` hangs."""
 
 
 class StopRequestedError(BaseException):
-    """Breaks off what is going on, because a stop is requested. Who catches any Exception does not catch it."""
+    """Aborts the current work because a stop is requested. `except Exception` does not catch it."""
 
 
 @dataclass
@@ -50,14 +50,14 @@ class StopRequest:
     _since: float | None = field(default=None, init=False)
     """When the request was noticed."""
     _calm_until: float = field(default=0.0, init=False)
-    """Nothing is broken off before this time, so that what was broken off can clean up."""
+    """Nothing is aborted before this time, so that aborted work can clean up."""
     handles_signals: bool = field(default=False, init=False)
-    """Whether signals reach it, which they do in the main thread only."""
+    """Whether signals reach it; they do only in the main thread."""
     breaks: bool = field(default=False, init=False)
-    """Whether a request breaks off what is going on."""
+    """Whether a request aborts the current work."""
 
     def watch(self, file: Path) -> None:
-        """Look from now on for this file, of the run that begins; a request by the file before is over."""
+        """Check this file of a starting run from now on. A request by an earlier file no longer counts."""
         system.remove(file, missing_ok=True)  # of an earlier process
         self.file, self._reason, self._since, self._calm_until = file, None, None, 0.0
 
@@ -94,7 +94,7 @@ class StopRequest:
 
     @contextmanager
     def at_once(self) -> Iterator[None]:
-        """Let a request break off the block wherever it is: for what loses nothing and may take long, e.g. building.
+        """Let a request abort the block at any point: for work that loses nothing and may take long, e.g. building.
 
         Raises a StopRequestedError. A block within another one changes nothing.
         """
@@ -109,7 +109,7 @@ class StopRequest:
             self.breaks = False
 
     def look(self, frame: FrameType | None) -> None:
-        """Break off what goes on in this frame, if a stop is requested and it may be broken off or takes too long."""
+        """Abort the work in this frame, if a stop is requested and the work may be aborted or takes too long."""
         now = time.monotonic()
         if not self.requested or now < self._calm_until or not _can_break(frame):
             return
@@ -129,7 +129,7 @@ class StopRequest:
 
 
 def _can_break(frame: FrameType | None) -> bool:
-    """Whether an error can be raised in a frame: an import cannot be made again, and native code drops errors."""
+    """Whether an error can be raised in a frame: an import cannot be repeated, and native code drops errors."""
     code = [one.f_code for one, _ in traceback.walk_stack(frame)]
     files = " ".join(one.co_filename for one in code)
     return not ("<frozen importlib" in files or "llvmlite" in files or "__del__" in [one.co_name for one in code])

@@ -1,7 +1,7 @@
-"""Starts an agent from what another run's agent has learned, provided that their layouts are equal.
+"""Starts an agent from the learned weights of another run's agent with the same layouts.
 
-The sha256 of its state pins that agent. So a spec means the same wherever the run's folder is, and a checkpoint that
-was overwritten since is noticed. The sha256 belongs to the experiment's identity, the path does not.
+The sha256 of the state pins that agent. A spec therefore means the same wherever the run's folder is, and an
+overwritten checkpoint is noticed. The sha256 belongs to the experiment's identity, the path does not.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
 
 
 def find(spec: Spec, runs: Path) -> Learned | None:
-    """What the spec's agent starts from; None without `agent.start_from`.
+    """The agent that the spec's agent starts from; None without `agent.start_from`.
 
     Args:
         spec: of the new run.
@@ -53,7 +53,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
     except RunError as error:
         like = closest(run, shipped_names())
         ships = f"did you mean {like!r}, which ships? " if like else ""
-        raise _refused(f"{run!r}: {error.what}", f"{ships}name a run by its whole id or its folder") from error
+        raise _refused(f"{run!r}: {error.what}", f"{ships}give a run's full id or its folder") from error
     source = spec_of(folder)
     check_agents(spec, source)
     if differences := layout_differences(signature_of(spec), signature_of(playable(source)), learning=True):
@@ -70,7 +70,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
 
 
 def apply(start: Learned, agent: Agent) -> None:
-    """Load what was learned into the agent. Raises UsageError if its networks have another shape."""
+    """Load the learned weights into the agent. Raises UsageError if its networks have another shape."""
     try:
         with checkpoint.fitting(f"{start.run}, checkpoint {start.checkpoint}"):
             if isinstance(start.state, Deployed):

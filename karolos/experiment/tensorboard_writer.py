@@ -36,7 +36,7 @@ class TensorBoardWriter:
     """
 
     def __init__(self, folder: Path, writer: RunWriter, snapshot: Snapshot | None) -> None:
-        # Importing takes 0.2 s, which only a process that trains shall pay.
+        # The import takes 0.2 s, so only a process that trains does it.
         from tensorboard.compat.proto.event_pb2 import Event, SessionLog  # noqa: PLC0415
         from tensorboard.compat.proto.summary_pb2 import Summary  # noqa: PLC0415
         from tensorboard.plugins.hparams.summary_v2 import hparams_pb  # noqa: PLC0415
@@ -57,7 +57,7 @@ class TensorBoardWriter:
             shown = hparams_pb(known, writer.folder.description()["experiment"])  # the seeds of a spec are one group
             self._records.write(Event(wall_time=time.time(), summary=shown).SerializeToString())
         if snapshot is not None:
-            purge = snapshot.meta["steps"] + 1  # points at these steps are not made again
+            purge = snapshot.meta["steps"] + 1  # points at these steps are not written again
             start = SessionLog(status=SessionLog.START)
             self._records.write(Event(wall_time=time.time(), step=purge, session_log=start).SerializeToString())
 
@@ -105,7 +105,7 @@ class TensorBoardWriter:
 def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> None:
     """Show a film (GIF) of width and height `size`, of the policy at these environment steps.
 
-    It gets a folder below that of the event files: TensorBoard reads one growing file per folder, which is the run's.
+    It gets a subfolder, because TensorBoard reads one growing file per folder.
     Raises MachineError when the file cannot be written.
     """
     from tensorboard.compat.proto.event_pb2 import Event  # noqa: PLC0415
@@ -126,6 +126,6 @@ def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> No
 
 
 def _success(test: Evaluation) -> dict[str, float]:
-    """Success by both ways to count it, if it is defined."""
+    """Success at the end and at any step, if it is defined."""
     known = {"success_any": test.success_any, "success_end": test.success_end}
     return {name: value for name, value in known.items() if value is not None}

@@ -1,7 +1,7 @@
-"""Sends runs to a tracker that a team has: one listener of several. The run folder stays the truth.
+"""Sends runs to the tracker of a team, as one of several listeners. The run folder stays the truth.
 
-The tracker is named by a spec's `tracking` or by KAROLOS_TRACKING. What a tracker raises is a warning and loses no run.
-A resumed run goes on in the same tracked run, which first gets the tests that it lacks.
+A spec's `tracking` or KAROLOS_TRACKING names the tracker. An error of the tracker is a warning and loses no run. A
+resumed run continues the same tracked run, which first gets its missing tests.
 """
 
 from __future__ import annotations
@@ -23,23 +23,23 @@ from ..specification.tree import leaves
 from .events import Listener, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 
 VARIABLE, PROJECT = "KAROLOS_TRACKING", "KAROLOS_PROJECT"
-"""Variables with the tracker of all runs, and with its project; by default that is "karolos"."""
+"""Environment variables with the tracker of all runs and with its project (default: "karolos")."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "events.jsonl", "tests.jsonl", "final.jsonl")
-"""Artefacts of a run. code.diff is none: a tracker may be public."""
+"""Artefacts of a run. code.diff is not sent: a tracker may be public."""
 
 
 @dataclass(frozen=True)
 class Tracked:
-    """What a tracker is told of a run."""
+    """Description of a run for a tracker."""
 
     id: str
     name: str
-    """Of its experiment."""
+    """Name of its experiment."""
     project: str
     runs: Path
-    """The runs folder, where trackers keep their files unless their own variables say where."""
+    """The runs folder. Trackers keep their files there, unless their own variables name another place."""
     settings: dict[str, Any]
-    """By key path, without secrets."""
+    """Settings by key path, without secrets."""
 
     @classmethod
     def of(cls, folder: RunFolder) -> Tracked:
@@ -56,14 +56,14 @@ class Tracked:
 
 
 class Tracker(ABC):
-    """One run in a tracker. It is made when the run starts or resumes, and may raise whatever its library raises."""
+    """One run in a tracker, created when the run starts or resumes. It may raise any error of its library."""
 
     known: set[int]
-    """Steps whose tests it has: a resumed run may play some again."""
+    """Steps of the tests that it already has: a resumed run may play some again."""
 
     @abstractmethod
     def __init__(self, run: Tracked) -> None:
-        """Begin the tracked run, or go on with the one that has the run's id. Sets `known`."""
+        """Begin the tracked run, or continue the one with the run's id. Sets `known`."""
 
     @abstractmethod
     def add(self, points: Mapping[str, float], steps: int) -> None:
@@ -92,7 +92,7 @@ def open_tracker(name: str, folder: RunFolder) -> Tracker:
         MachineError: its package is missing.
     """
     if name not in TRACKERS:
-        raise UsageError(f"there is no tracker {name!r}", hint=f"there are {', '.join(TRACKERS)}")
+        raise UsageError(f"there is no tracker {name!r}", hint=f"choose {', '.join(TRACKERS)}")
     try:
         kind: type[Tracker] = getattr(import_module(f".{name}_tracker", __package__), f"{name.title()}Tracker")
         tracker = kind(Tracked.of(folder))
@@ -104,7 +104,7 @@ def open_tracker(name: str, folder: RunFolder) -> Tracker:
 
 
 def push(name: str, folder: RunFolder) -> None:
-    """Send what a run folder holds. What the tracker has of it stays. Raises as `open_tracker` and as its library."""
+    """Send the content of a run folder. The tracker keeps its data. Raises as `open_tracker` and as its library."""
     tracker = open_tracker(name, folder)
     if final := folder.final():
         tracker.add(_points(final["last"], "final"), final["last"].steps)
@@ -133,7 +133,7 @@ class Tracking:
         self.listener(event)
         try:
             self._track(event)
-        except Exception as error:  # it is the tracker's library, or the network
+        except Exception as error:  # the tracker's library or the network failed
             self._runs.pop(event.run, None)
             consequence = f"the run goes on; `karolos runs push {event.run}` sends it later"
             self.listener(RunWarned(event.run, f"the tracker failed: {described(error)} ({consequence})"))

@@ -46,4 +46,4 @@ class TrackioTracker(Tracker):
 
     @override
     def end(self, state: str) -> None:
-        """Nothing is open."""
+        """Nothing to do: no run stays open."""

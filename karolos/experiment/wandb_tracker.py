@@ -14,11 +14,11 @@ from .tracking import Tracked, Tracker
 
 
 class WandbTracker(Tracker):
-    """A run of W&B with the id of the run. It gets neither code, command line, console nor facts of the machine."""
+    """A run of W&B with the id of the run. Code, command line, console and facts of the machine are not sent."""
 
     def __init__(self, run: Tracked) -> None:
         quiet = {"console": "off", "disable_git": True, "save_code": False, "silent": True, "x_disable_stats": True}
-        self.known = set()  # offline nobody knows; of two points at the same steps W&B shows the later
+        self.known = set()  # offline this is unknown; if two points have the same steps W&B shows the later one
         mode: Any = os.environ.get("WANDB_MODE", "offline")
         self._run = wandb.init(
             project=run.project,

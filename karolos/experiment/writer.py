@@ -1,4 +1,4 @@
-"""Writes a run into its folder, which is the truth, and then into the store, which is an index; tells the listener."""
+"""Writes a run into its folder (the truth), then into the store (an index), and tells the listener."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .resume import Snapshot
 ADVANCE_SECONDS = 0.1
 """Minimal time between two RunAdvanced or two RunBusy events."""
 WRITE_SECONDS = 4.0
-"""Time after which the progress is written down again, so that whoever looks sees it every five seconds."""
+"""Time after which the progress is written again: a reader sees a new value every five seconds."""
 
 
 def index_run(url: str | None, folder: RunFolder) -> None:
-    """Enter a run into the database as its folder is now; without a URL another process does. Raises StoreError."""
+    """Enter the state of a run's folder into the database. Without a URL another process does it. Raises StoreError."""
     if url is not None:
         with Store(url) as store:
             store.add_records([folder.record()])
@@ -39,7 +39,7 @@ class Ending:
     state: StateName
     """finished, stopped or failed."""
     amounts: Mapping[str, Any] = field(default_factory=dict)
-    """Steps, seconds and updates of training; empty if training broke off."""
+    """Steps, seconds and updates of training; empty if training was aborted."""
     reason: str | None = None
     """Why it stopped."""
     error: str | None = None
@@ -50,12 +50,12 @@ class Ending:
 
 @dataclass
 class RunWriter:
-    """Writes state, events, tests and episodes of one run, and tells the listener how far it is.
+    """Writes state, events, tests and episodes of one run, and tells the listener the progress.
 
     Args:
         folder: the run's own, created and locked.
         url: of the database, whose errors are warnings only; None: another process indexes the run.
-        listener: is told of warnings and progress.
+        listener: receives warnings and progress.
 
     Raises:
         MachineError: from every method, when the folder cannot be written.
@@ -65,14 +65,14 @@ class RunWriter:
     url: str | None
     listener: Listener
     training: Training | None = field(default=None, init=False)
-    """Whose progress is written down; None before it is made."""
+    """The training whose progress is written; None before it exists."""
     _advanced: float = field(default=0.0, init=False)
     _busy: float = field(default=0.0, init=False)
     """Times of the last RunAdvanced and RunBusy event."""
     _written: float = field(default_factory=time.monotonic, init=False)
 
     def announce(self, activity: str, done: int, total: int) -> None:
-        """Tell how far a test or another activity is."""
+        """Report the progress of a test or another activity."""
         now = time.monotonic()
         if done in (0, total) or now - self._busy >= ADVANCE_SECONDS:
             self._busy = now
@@ -80,7 +80,7 @@ class RunWriter:
             self._write_progress(now)
 
     def progressed(self, progress: Progress, *, last: bool) -> None:
-        """A round of training is over; `last`: and training is."""
+        """A round of training is over; `last`: it was the last one."""
         now = time.monotonic()
         if last or now - self._advanced >= ADVANCE_SECONDS:
             self._advanced = now
@@ -89,7 +89,7 @@ class RunWriter:
             self._write_progress(now)
 
     def _write_progress(self, now: float) -> None:
-        """Say how far training is, for display: a folder that cannot be written is noticed elsewhere."""
+        """Write the progress of training, for display. Errors of writing are ignored here and noticed elsewhere."""
         if self.training is not None and now - self._written >= WRITE_SECONDS:
             self._written = now
             with suppress(MachineError):
@@ -137,7 +137,7 @@ class RunWriter:
         self.folder.cut_episodes(snapshot.meta["episodes_bytes"])
 
     def write_episodes(self, episodes: Sequence[Episode], parameters: Sequence[str]) -> None:
-        """Training episodes; the values that domain randomization drew stand under the parameters' names."""
+        """Record training episodes, with the sampled values of domain randomization under the parameters' names."""
         rows = []
         for episode in episodes:
             values = asdict(episode)

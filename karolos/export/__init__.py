@@ -1,4 +1,4 @@
-"""Policies for use without karolos: a file for numpy alone, ONNX, and bundles for robots."""
+"""Policies for use without karolos: a file that needs only numpy, ONNX, and bundles for robots."""
 
 from karolos_deploy.policy import NumpyPolicy
 

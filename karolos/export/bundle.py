@@ -1,4 +1,4 @@
-"""`karolos export --bundle`: a folder that a robot's computer runs with karolos-deploy, and that needs no other paper.
+"""`karolos export --bundle`: a folder that karolos-deploy runs on a robot's computer, with its own documentation.
 
 policy.onnx, policy.npz  the policy, see `export`
 policy.yaml              LEAPP's description of it (config 1.3); karolos' own contract stands under `karolos`
@@ -45,7 +45,7 @@ ROBOT = {
     "gripper_opening": "gripper_opening", "joint_positions": "joint_positions", "set_point": "set_point",
     "joint_velocities": "joint_velocities", "peg_wrench": "wrench_along_world", "overloaded": "force_exceeded",
 }  # fmt: skip
-"""Fields of observations -> the formula by which karolos-deploy computes them of joints and wrist."""
+"""Fields of observations -> the formula by which karolos-deploy computes them from joints and wrist."""
 
 
 def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> Exported:
@@ -57,7 +57,7 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
         checkpoint: `best` or `last`.
 
     Raises:
-        UsageError: the policy moves no arm, or actions that no robot can be told.
+        UsageError: the policy moves no arm, or has actions that cannot be sent to a robot.
         RunError, MachineError: as `export_policy`.
     """
     saved = load_agent(folder, checkpoint)
@@ -101,7 +101,9 @@ def _make_room(out: Path) -> None:
     found = {path.name for path in out.iterdir()} if out.is_dir() else set()
     ours = FILES | {"policy.yaml", "episode.npz", "film.mp4", "spec.json", "run.json", "README.md", "SHA256SUMS"}
     if strange := sorted(found - ours):
-        raise UsageError(f"{out} holds {strange[0]}, which is no part of a bundle", hint="name an empty folder: --out")
+        raise UsageError(
+            f"{out} holds {strange[0]}, which does not belong to a bundle", hint="name an empty folder: --out"
+        )
     for name in found:
         (out / name).unlink()
 
@@ -111,11 +113,11 @@ def _film(out: Path, environment: RobotTask, saved: SavedAgent) -> None:
         moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
         write_film(out / "film.mp4", moments, environment, (640, 480))
     except MachineError:
-        pass  # pictures cannot be drawn on this machine; the page says that there is none
+        pass  # this machine cannot draw pictures; the page says that there is no film
 
 
 def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
-    """The contract: everything that one has to know to run the policy. JSON-able, SI units, in the world's frame."""
+    """The contract: everything that is needed to run the policy. JSON-able, SI units, in the world's frame."""
     task, signature, spec = environment.task, saved.signature, saved.spec.dump()
     tested = saved.tested.row() if saved.tested is not None else None
     drawn = spec.get("randomization", {})
@@ -154,7 +156,6 @@ def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
     arm, task = arm_of(environment), environment.task
     settings, facts = arm.settings, arm.facts()
     gripper = settings.gripper or arm.model.gripper
-    held = getattr(task.settings, "peg_mass", 0.0) if task.uses_gripper == "closed" else 0.0
     stop = settings.protective_stop
     stop = stop if isinstance(stop, ProtectiveStop) else ProtectiveStop.model_validate({})
     force = min(stop.force or inf, getattr(task.settings, "force_limit", inf))
@@ -170,7 +171,7 @@ def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
         "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
         "spring": facts.get("spring"),
     }
-    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + held
+    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + task.held_mass
     return {
         "robot": {"name": name, "gripper": gripper, "payload": payload},
         "kinematics": {"base": list(arm.base), "links": arm.chain.links.tolist(), "damping": arm.chain.damping},
@@ -216,7 +217,7 @@ def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
 
 
 def _near_errors() -> list[list[Any]]:
-    """Field, column, what is added, and scale of each column of the task insert's `near_errors`."""
+    """Field, column, offset and scale for each column of the task insert's `near_errors`."""
     from ..tasks.insert import DEPTH, SCALES, TURN_SCALE  # noqa: PLC0415
 
     places = [(0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)]
@@ -227,7 +228,7 @@ def _near_errors() -> list[list[Any]]:
 def record(
     environment: RobotTask, policy: Policy, contract: dict[str, Any], seed: int
 ) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Play `EPISODES` test episodes: the columns of the first one, and all inputs and outputs that occurred."""
+    """Play `EPISODES` test episodes. Returns the columns of the first one, and all inputs and outputs."""
     arm, task = arm_of(environment), environment.task
     full = arm.observation + task.observation
     measured = [one["name"] for one in contract["observation"] if one["formula"] == "measured"]
@@ -271,19 +272,19 @@ def record(
 
 
 def arm_of(environment: RobotTask) -> Arm:
-    """Its robot, which is an arm."""
+    """The environment's robot, an arm."""
     arm: object = environment.robot
     assert isinstance(arm, Arm)
     return arm
 
 
 def contract_size(fields: list[dict[str, Any]]) -> int:
-    """Columns of these fields together."""
+    """Total number of columns of these fields."""
     return sum(one["size"] for one in fields)
 
 
 def _split(full: Layout, environment: RobotTask) -> list[Any]:
-    """The fields of the full observation now, without noise of its own."""
+    """The current fields of the full observation, without noise."""
     values = np.array([*environment.robot.observe(), *environment.task.observe()])
     return [values[full.slice(name)] for name in full.names]
 
@@ -298,7 +299,7 @@ def _add_ranges(fields: list[dict[str, Any]], seen: Any) -> None:
 
 
 def leapp(out: Path, contract: dict[str, Any]) -> dict[str, Any]:
-    """What policy.yaml holds: LEAPP's keys, which describe the ONNX model, and ours under `karolos`."""
+    """Content of policy.yaml: LEAPP's keys, which describe the ONNX model, and ours under `karolos`."""
 
     def tensor(name: str, fields: list[dict[str, Any]], kind: str) -> dict[str, Any]:
         columns = [f"{one['name']}[{inside}]" for one in fields for inside in range(one["size"])]

@@ -10,7 +10,7 @@ from ..records import RunFolder
 
 
 def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
-    """Write README.md beside an exported policy. Its figures are those of the final test, or of the last test.
+    """Write README.md for an exported policy. Its figures are those of the final test, or of the last test.
 
     Raises:
         RunError: the run's spec is damaged.
@@ -37,13 +37,13 @@ def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
             lines = [
                 f"Success at the last step {result.success_end:.3f} (95 %: {low:.3f} to {high:.3f}), {lines[0].lower()}"
             ]
-        chosen = "on episodes that nothing was chosen on" if final else "in the last test, by which `best` is chosen"
+        chosen = "(held out)" if final else "in the last test, by which `best` is chosen"
         lines[0] += f", in {result.episodes} episodes {chosen}."
     kind = {"type": "reinforcement-learning", "name": "reinforcement-learning"}
     dataset = {"name": environment, "type": environment.replace(" ", "-")}
     index = [{"name": algorithm, "results": [{"task": kind, "dataset": dataset, "metrics": metrics}]}]
     front = {"library_name": "karolos", "tags": ["reinforcement-learning", "robotics", environment.replace(" ", "-")]}
-    # JSON is YAML, so that no value of anybody's can end the front matter.
+    # JSON is YAML, and no value in JSON can end the front matter.
     header = "".join(f"{key}: {json.dumps(value)}\n" for key, value in {**front, "model-index": index}.items())
     git = about.get("git") or {}
     facts = {

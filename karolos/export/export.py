@@ -1,8 +1,8 @@
-"""From a run's checkpoint to files that act without karolos.
+"""Writes a run's policy to files that act without karolos.
 
 policy.npz   the policy as arrays, which NumpyPolicy reads
 policy.onnx  the same as an ONNX model
-policy.json  what its inputs and outputs mean, and where it comes from
+policy.json  meaning of its inputs and outputs, and its origin
 golden.npz   inputs and the agent's own actions for them, to check a port against
 """
 
@@ -28,14 +28,13 @@ from .onnx_file import check_onnx, run_onnx, write_onnx
 
 GOLDEN_ROWS = 64
 LARGEST_ERROR = 1e-4
-"""How far an action of the files may be from the agent's own. Sums of float32 numbers in another order came to 3e-6
-in a policy of two layers of 256 after 10,000 steps of training; a mistake in the files makes far more.
-"""
+"""Largest allowed difference between actions of the files and of the agent. Another order of float32 sums gave 3e-6 in
+a policy with two layers of 256 after 10,000 steps of training. A mistake in the files gives far more. """
 
 
 @dataclass(frozen=True)
 class Exported:
-    """What was written."""
+    """Result of an export."""
 
     folder: Path
     files: tuple[Path, ...]
@@ -51,13 +50,13 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
 
     Args:
         folder: the run's.
-        out: folder to write to, made if it is not there.
+        out: folder to write to; it is created if it is missing.
         checkpoint: `best` or `last`.
         onnx: whether to write policy.onnx too; None: if the package onnx is installed.
 
     Raises:
         UsageError: this kind of agent cannot be exported.
-        RunError: the run has no such checkpoint, it is damaged, or what was written does not act as the agent does.
+        RunError: the checkpoint is missing or damaged, or the written files do not act as the agent does.
         MachineError: the package onnx is missing, or the folder cannot be written.
     """
     if onnx is None:
@@ -89,12 +88,14 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     if not error <= LARGEST_ERROR:
         for path in paths.values():
             path.unlink()  # they must not be used
-        raise RunError(f"what was written does not act as the agent does: it differs by {error:.2g}", where=folder.id)
+        raise RunError(
+            f"the written policy does not act like the agent: actions differ by {error:.2g}", where=folder.id
+        )
     return Exported(out, tuple(paths.values()), saved.checkpoint, saved.steps, error)
 
 
 def arrays(policy: Deployed) -> dict[str, Any]:
-    """What policy.npz holds, by name."""
+    """Content of policy.npz, by name."""
     return {
         "format": np.int64(FORMAT),
         "shift": policy.shift,
@@ -110,7 +111,7 @@ def arrays(policy: Deployed) -> dict[str, Any]:
 
 
 def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
-    """Random inputs, spread three times as wide as what the agent has seen, and its own actions for them.
+    """Random inputs with three times the spread of the agent's inputs, and its own actions for them.
 
     observation (n, o), desired_goal (n, g), action (n, a), or for a discrete set the index (n,).
     """
@@ -125,7 +126,7 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
 
 
 def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
-    """What policy.json holds."""
+    """Content of policy.json."""
     spec, signature, action = saved.spec.dump(), saved.signature, saved.signature.action
     with used(environment_of(playable(saved.spec))) as environment:
         facts: dict[str, Any] = getattr(getattr(environment, "robot", None), "facts", dict)()

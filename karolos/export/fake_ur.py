@@ -1,9 +1,9 @@
-"""A fake controller of Universal Robots over a simulated robot: what ur-rtde talks to, in a process of its own.
+"""A fake controller of Universal Robots over a simulated robot. ur-rtde connects to it; it has a process of its own.
 
 `python -m karolos.export.fake_ur BUNDLE [HOST] [NAME=VALUE ...]` listens on the controller's ports of a loopback
-address: dashboard 29999, RTDE 30004, script 30003, and the Robotiq gripper's 63352. It prints the address of the
-requests, which is a camera's as well (`--set perception=...`). It runs no URScript: registers are answered as the
-script of ur-rtde does. Force mode is the spring of training with the force that is asked for; a real one is slower.
+address: dashboard 29999, RTDE 30004, script 30003, and the Robotiq gripper's 63352. It prints the address for
+requests, which also serves as a camera (`--set perception=...`). It runs no URScript: it answers registers as the
+script of ur-rtde does. Force mode is the spring of training with the requested force; a real one is slower.
 Protocol: the RTDE guide of Universal Robots.
 """
 
@@ -25,7 +25,7 @@ from .simulated_robot import Server, SimulatedRobot, lines
 
 VERSION = (5, 11, 0, 0)
 TURN = turned_by((0.0, 0.0, np.pi))
-"""From the controller's base frame to that of the arm: a real one is turned like this."""
+"""Rotation from the controller's base frame to the arm's, as on a real robot."""
 FORMATS = {"DOUBLE": "d", "UINT32": "I", "INT32": "i", "VECTOR6D": "6d"}
 TYPES = {
     **dict.fromkeys(("runtime_state", "robot_status_bits", "safety_status_bits"), "UINT32"),
@@ -35,7 +35,7 @@ TYPES = {
 """Types of variables; others are INT32 with `_int_` in their name, and DOUBLE without."""
 STOPPED, PLAYING = 1, 2
 READY, DONE = 1, 2
-"""What the script of ur-rtde writes into its output register 0."""
+"""Values that the script of ur-rtde writes into its output register 0."""
 SERVO, FORCE, STOPS, PAYLOAD, WATCHDOG, END = 11, 6, (7, 15, 16, 33, 34), 17, 35, 255
 """Commands in its input register 0."""
 FAULTS = {"protective stop": 1 << 2, "emergency stop": 1 << 7}
@@ -67,7 +67,7 @@ class FakeUR(Server):
         self.robot: SimulatedRobot = SimulatedRobot(bundle, settings)
         self.faults: set[str] = set()
         self.points = self.refused = 0
-        """Set points that were followed, and that came while the robot could not move."""
+        """Number of followed set points, and of set points that came while the robot could not move."""
         self.payload: float = self.robot.contract["robot"]["payload"]
         self._registers: dict[str, float] = {"output_int_register_0": 0}
         self._runtime, self._watchdog, self._heard = STOPPED, 0.0, 0.0
@@ -99,7 +99,7 @@ class FakeUR(Server):
         return {"success": self.robot.outcome()}
 
     def fail(self, kind: str) -> None:
-        """Fail in this way from now on."""
+        """Simulate this fault from now on."""
         self.faults.add(kind)
         if kind in FAULTS:
             self._end_program()
@@ -142,7 +142,7 @@ class FakeUR(Server):
                     self.forget(connection)
 
     def _packet(self, client: Subscriber) -> bytes:
-        """A data package with the outputs that a client asked for."""
+        """A data package with the outputs that a client requested."""
         told, robot, faults = self.robot.told(), self.robot, self.faults
         stamp = self._stamp = max(self._stamp, told["time"] + time.perf_counter() - self._late - robot.time)
         positions = np.array(told["positions"])
@@ -200,7 +200,7 @@ class FakeUR(Server):
             connection.sendall(struct.pack(">HB", len(reply) + 3, ord(kind)) + reply)
 
     def _command(self, recipe: list[str], data: bytes) -> None:
-        """Take in registers, and do what the script of ur-rtde does with its command."""
+        """Read registers, and do what the script of ur-rtde does with its command."""
         if "VECTOR6D" in map(_type, recipe):
             return  # an external sensor of forces
         values = struct.unpack(">" + "".join(FORMATS[_type(name)] for name in recipe), data)

@@ -1,4 +1,4 @@
-"""A simulated world that behaves like a robot: it follows set points and tells readings, on a socket.
+"""A simulated world that behaves like a robot: it follows set points and sends readings, on a socket.
 
 `python -m karolos.export.simulated_robot BUNDLE` prints the address at which it listens and ends with its stdin. The
 driver `simulation` of karolos-deploy starts it.
@@ -31,13 +31,13 @@ from ..simulation.geometry import quaternion_of
 from ..specification import spec_from_dict
 
 TICK = 1 / 240
-"""Seconds of the robot's own loop, and of a step of its world."""
+"""Period of the robot's own loop, and of a step of its world, in s."""
 AHEAD = 0.02
-"""Seconds for which the last set point's speed counts where the next is late."""
+"""Time in s for which the last set point's speed is kept if the next one is late."""
 CATCH_UP = 4 * TICK
-"""Time constant in s with which joints come to their set points."""
+"""Time constant in s with which joints reach their set points."""
 LONGEST_LAG = 0.25
-"""Seconds that the world may be behind the clock; what is beyond is left out."""
+"""Largest lag of the world behind the clock in s; time beyond it is skipped."""
 
 
 class SimulatedRobot:
@@ -64,11 +64,11 @@ class SimulatedRobot:
         self.measured = [one["name"] for one in self.contract["observation"] if one["formula"] == "measured"]
         self._spring = self.contract["control"]["mode"] == "impedance"
         self.time = 0.0
-        """Of the robot's clock; it goes on between episodes."""
+        """Time of the robot's clock, which also runs between episodes."""
         self.reset(0)
 
     def reset(self, episode: int) -> list[float]:
-        """Begin a test episode; its goal."""
+        """Begin a test episode; returns its goal."""
         self.environment.reset(self._seeds[episode])
         self._generator = np.random.default_rng(self._seeds[episode])
         self._latency, self._jitter = self.arm.value("latency"), self.arm.value("jitter")
@@ -80,12 +80,12 @@ class SimulatedRobot:
         return goal
 
     def command(self, point: Mapping[str, Any] | None, due: float) -> None:
-        """Follow a set point, which holds at the time `due`. None: none came, go on as before."""
+        """Follow a set point for the time `due`. None: no set point came, continue as before."""
         if point is not None and self.state == "running":
             self._point, self._due = point, due
 
     def stop(self) -> None:
-        """Brake, and follow no further set point in this episode."""
+        """Brake, and ignore set points for the rest of this episode."""
         self.state, self._point = "stopped", None
 
     def advance(self, until: float) -> None:
@@ -156,7 +156,7 @@ class SimulatedRobot:
 
 
 def lines(rest: bytearray) -> Iterator[bytes]:
-    """The whole lines that a buffer begins with, which are removed from it."""
+    """Remove the complete lines at the beginning of a buffer and return them."""
     while (end := rest.find(b"\n")) >= 0:
         line = bytes(rest[:end])
         del rest[: end + 1]
@@ -164,12 +164,12 @@ def lines(rest: bytearray) -> Iterator[bytes]:
 
 
 class Server:
-    """Listens on sockets, answers, and lets a simulated robot go on in real time, in one thread.
+    """Listens on sockets, answers requests, and runs a simulated robot in real time, in one thread.
 
     Args:
         bundle: folder of the bundle.
         host: to listen on.
-        port: of the requests; 0: any that is free.
+        port: of the requests; 0: any free port.
     """
 
     def __init__(self, bundle: Path, host: str = "127.0.0.1", port: int = 0) -> None:
@@ -182,7 +182,7 @@ class Server:
         self.port = self.listen(port, self.answer_lines)
 
     def listen(self, port: int, eat: Callable[[socket.socket, bytearray], None], greet: bytes = b"") -> int:
-        """Have `eat` take what it understands from the bytes that a connection to a port has sent. Returns the port."""
+        """Let `eat` consume complete messages from the bytes of each connection to a port. Returns the port."""
         waiting = socket.create_server((self.host, port))
 
         def accept(_: socket.socket) -> None:
@@ -265,7 +265,7 @@ class Server:
     def serve(self) -> None:
         """Answer until `end` is called."""
         gc.collect()
-        gc.freeze()  # a later collection of all that was imported would take 90 ms
+        gc.freeze()  # a later garbage collection of all imports would take 90 ms
         while self._running:
             for key, _ in self._selector.select(TICK / 2 if self.real else None):
                 key.data(key.fileobj)

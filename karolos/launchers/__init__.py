@@ -1,1 +1,1 @@
-"""Launchers: how runs are started and followed, in this process, on this machine and on others."""
+"""Launchers: start runs and follow them, in this process, on this machine and on others."""

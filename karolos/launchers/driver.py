@@ -1,6 +1,6 @@
-"""The driver starts the folders of jobs through a launcher, follows them, stops them, and starts again what died.
+"""The driver starts the folders of jobs through a launcher, follows and stops them, and restarts them after a crash.
 
-It knows nothing of processes, so that they may be on other machines.
+It knows nothing about processes, so they may be on other machines.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ from .local import LocalLauncher
 
 
 def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
-    """The spec's launcher, for `jobs` runs at the same time. Raises UsageError if they are less than one."""
+    """The spec's launcher, for `jobs` runs at the same time. Raises UsageError if `jobs` is below 1."""
     if jobs is not None and jobs < 1:
-        raise UsageError(f"jobs is {jobs}", hint="run at least one at a time")
+        raise UsageError(f"jobs is {jobs}, and must be at least 1", hint="give 1 or more")
     if spec.launcher is None:
         return LocalLauncher(LocalLauncher.Settings(), jobs)
     launcher: Launcher = spec.launcher.make(jobs)
@@ -42,10 +42,10 @@ class Job:
     halted: str | None = None
     """Why its tasks were stopped."""
     listed: Sequence[FolderTask] = ()
-    """Its tasks, if they are known before the driver takes the job."""
+    """The job's tasks, if they are known before the driver takes the job."""
 
     def tasks(self) -> Iterable[FolderTask]:
-        """What there is to execute. Called once, when the driver takes the job."""
+        """The tasks to execute. Called once, when the driver takes the job."""
         return self.listed
 
     def heard(self, event: RunEvent) -> str | None:  # noqa: ARG002  (others do)
@@ -64,26 +64,26 @@ class FolderTask(ABC):
 
     job: Job
     path: Path
-    """The folder, from `begin` on."""
+    """The folder, set by `begin`."""
     state: Literal["waiting", "active", "over"] = "waiting"
     deaths = 0
     """Number of its processes that died."""
 
     @abstractmethod
     def begin(self) -> Path:
-        """Make the folder ready for a process, and return its path. Called before each start."""
+        """Prepare the folder for a process, and return its path. Called before each start."""
 
     def events(self) -> Iterator[RunEvent]:
-        """What has happened since the last call."""
+        """The events since the last call."""
         yield from ()
 
     @abstractmethod
     def is_over(self) -> bool:
-        """Whether it came to its end, although its process died."""
+        """Whether the task was complete when its process died."""
 
     @abstractmethod
     def end(self, problem: str | None) -> Iterator[RunEvent]:
-        """Record the end and yield what it means. `problem`: why it has no end of its own."""
+        """Record the end and yield its events. `problem`: why the task did not end by itself."""
 
 
 class Driver:
@@ -92,17 +92,17 @@ class Driver:
     Args:
         launcher: executes their tasks.
         listener: is called with every RunEvent.
-        stop: after it is requested the runs end with a checkpoint.
-        retries: how many times a task is started again after its process died.
+        stop: after a request the runs write a checkpoint and end.
+        retries: number of restarts of a task whose process died.
     """
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:
         self._launcher, self._listener, self.stop, self._retries = launcher, Tracking(listener), stop, retries
         self._work: dict[Job, list[FolderTask]] = {}
-        """The jobs in work, each with its tasks."""
+        """The current jobs, each with its tasks."""
 
     def run(self, jobs: Iterable[Job], most: int | None = None) -> None:
-        """Execute jobs. The next one is taken when fewer than `most` are in work; None: all are taken at once."""
+        """Execute jobs. The next one is taken when fewer than `most` are active; None: all are taken at once."""
         coming = iter(jobs)
         while True:
             # Take jobs, as long as no stop is requested.
@@ -115,13 +115,13 @@ class Driver:
                 return
             self._pass_stop_on()
 
-            # Start tasks where the launcher has room.
+            # Start tasks while the launcher has room.
             waiting = self._tasks("waiting")
             for task in waiting[: self._launcher.room(len(waiting))]:
                 if task.state == "waiting":  # its job may have been halted by an event of the task before
                     self._start(task)
 
-            # Look into the folders, and for a process that has ended.
+            # Read the folders, and look for processes that have ended.
             if self._tasks("waiting") or self._tasks("active"):
                 ended = self._launcher.wait(self._launcher.poll_seconds)
                 for task in self._tasks("active"):
@@ -130,7 +130,7 @@ class Driver:
                 if ended is not None:
                     self._end(ended)
 
-            # Leave the jobs whose tasks are over.
+            # Finish the jobs whose tasks are over.
             for job in [job for job, tasks in self._work.items() if all(task.state == "over" for task in tasks)]:
                 del self._work[job]
                 job.ended()
@@ -175,12 +175,12 @@ class Driver:
                 task.state = "over"
 
     def _end(self, ended: Ended) -> None:
-        """Record the end of a task, or let it wait for another process if its own died."""
+        """Record the end of a task, or queue it again if its process died."""
         task = next(one for one in self._tasks("active") if one.path == ended.folder)
         self._tell(task, task.events())
         problem = ended.problem
         if (refusal := (read_object(ended.folder / LAUNCH) or {}).get("problem")) is not None:
-            problem = str(refusal)  # another process would refuse as well
+            problem = str(refusal)  # another process would refuse, too
         elif ended.died and task.is_over():
             problem = None
         elif ended.died and not task.job.halted:

@@ -1,4 +1,4 @@
-"""Experiment, the entry point from Python: one spec, its seeds, one run per seed."""
+"""Experiment, the entry point from Python: one spec, one run per seed."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class Outcome:
     """How an experiment, a sweep, a suite or a matrix of transfers ended."""
 
     complete: bool
-    """Whether everything that was asked for is there."""
+    """Whether every requested run is finished."""
     stop_code: int = 0
     """`StopRequest.exit_code`; 0 if no stop was requested."""
     runs: tuple[RunSummary, ...] = ()
@@ -119,7 +119,7 @@ class Experiment:
         Raises:
             KeyboardInterrupt, SystemExit: Ctrl-C or another signal stopped the runs, which have their checkpoints, and
                 `check` is on: a script does not go on with the next experiment.
-            RunError: a run failed, and `check` is on. Or another process has seeds of this experiment, and `existing`
+            RunError: a run failed, and `check` is on. Or another process runs seeds of this experiment, and `existing`
                 is not "ignore".
             UsageError: the spec's parts do not fit together.
             MachineError: the runs folder cannot be written.
@@ -167,7 +167,7 @@ def resume_run(
     Args:
         folder: the run's.
         url: SQLAlchemy URL of the results database.
-        overrides: with them, a finished run goes on as a run of its own: see `continued_spec`.
+        overrides: if given, a finished run is continued by a new run: see `continued_spec`.
         time_limit: seconds after which to stop.
         listener: is called with every RunEvent.
 
@@ -192,7 +192,7 @@ def resume_run(
 
 
 def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
-    """Let no other process run this seed as well, which would be a second copy of its run. Released by the stack.
+    """Claim this seed, so that no other process runs a second copy of its run. The stack releases the claim.
 
     Raises:
         RunError: another process has claimed the seed, and its run is not finished.
@@ -204,14 +204,14 @@ def claim(home: Home, spec: Spec, seed: int, stack: ExitStack) -> None:
     found = home.find(spec, seed)
     if home.existing != "ignore" and (found is None or found.state().state != "finished"):
         raise RunError(
-            f"another process runs seed {seed}, or has it waiting",
+            f"another process runs seed {seed}, or will run it",
             where=spec.name,
             hint="`karolos runs list --watch` shows its runs; wait for it, or stop it first",
         )
 
 
 def _execute_one_of(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
-    """As `_execute`. A run that cannot begin or resume fails alone: the other seeds are run."""
+    """As `_execute`. If one run cannot begin or resume, the other seeds are still run."""
     try:
         return _execute(folder, url, listener, stop)
     except RunError as error:
@@ -222,7 +222,7 @@ def _execute_one_of(folder: RunFolder, url: str, listener: Listener, stop: StopR
 
 
 def _execute(folder: RunFolder, url: str, listener: Listener, stop: StopRequest) -> RunSummary:
-    """Execute or resume a run in this process. A finished one is only entered into the index."""
+    """Execute or resume a run in this process. A finished run is only entered into the index."""
     with folder:
         if folder.state().state == "finished":
             try:

@@ -10,7 +10,7 @@ from typing import ClassVar, NamedTuple
 COMMAND = (sys.executable, "-P", "-m", "karolos.launchers.process")
 """The command of a process. Its arguments are `--cores`, the number of cores, and the folder of a run or a test."""
 LAUNCH, STOP = "launch.json", "stop"
-"""Files in a folder that is executed: software, whether the process has ended or refuses; the reason to stop."""
+"""Files in an executed folder. launch.json: software, end or refusal of the process. stop: the reason to stop."""
 
 
 class Ended(NamedTuple):
@@ -18,9 +18,9 @@ class Ended(NamedTuple):
 
     folder: Path
     problem: str | None = None
-    """Why it did not reach an end of its own, e.g. "its process was killed by SIGKILL". None: it did."""
+    """Why it did not end by itself, e.g. "its process was killed by SIGKILL". None: it did."""
     died: bool = False
-    """Whether its process died, so that another one may go on."""
+    """Whether its process died, so that another one may continue."""
 
 
 class Launcher(ABC):
@@ -31,8 +31,8 @@ class Launcher(ABC):
 
     Runs. A run is a folder that contains everything its process needs. The process is `COMMAND --cores N FOLDER`, or
     COMMAND without a folder, which imports libraries once and executes the folders that come on its stdin. A run that
-    has begun is resumed. All processes see the folder under the same path. A zero-shot test of a policy is a folder as
-    well, which is executed in the same way; for a launcher the two are equal.
+    has begun is resumed. All processes see the folder under the same path. A zero-shot test of a policy is a folder,
+    too, and is executed in the same way. A launcher does not distinguish the two.
 
     Results. A launcher reports only that a run has ended. Everything else stands in the run's folder: state.json,
     events.jsonl, tests.jsonl and progress.json.
@@ -42,19 +42,19 @@ class Launcher(ABC):
     """
 
     poll_seconds: ClassVar[float] = 0.2
-    """Time between two looks into the folders of runs."""
+    """Time between two checks of the run folders."""
 
     @abstractmethod
     def room(self, waiting: int) -> int:
-        """How many of the `waiting` runs can start now. May begin to prepare processes. Does not wait."""
+        """Number of `waiting` runs that can start now. May begin to prepare processes. Does not wait."""
 
     @abstractmethod
     def start(self, folder: Path) -> None:
-        """Start or resume a run, for which there is room. Does not wait."""
+        """Start or resume a run. There must be room for it. Does not wait."""
 
     @abstractmethod
     def wait(self, seconds: float) -> Ended | None:
-        """Wait at most this long for a run that has ended. Each run that was started is returned once."""
+        """Wait at most this long for a run to end. Each started run is returned once."""
 
     @abstractmethod
     def close(self, *, kill: bool) -> None:

@@ -1,4 +1,4 @@
-"""Runs in processes of this machine. A process executes one run after another, so that it imports libraries once."""
+"""Runs in processes of this machine. A process executes one run after another, and imports libraries only once."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ..system import cores, ended_by, own_group
 from .interface import COMMAND, Ended, Launcher
 
 MOST_FAILED_STARTS = 3
-"""Processes in a row that may end before they are ready; another one takes their place."""
+"""Number of consecutive processes that may end before they are ready and are replaced."""
 
 
 class RunProcess:
@@ -30,7 +30,7 @@ class RunProcess:
 
     Args:
         cores: of a run.
-        command: begins the command of the process, which it follows.
+        command: beginning of the command line of the process.
     """
 
     def __init__(self, cores: int, command: Sequence[str] = ()) -> None:
@@ -57,7 +57,7 @@ class RunProcess:
             self.orders.write(f"{folder}\n")
 
     def ended(self, answer: str) -> Ended | None:
-        """What an answer means for its run; an empty one is the end of the process."""
+        """The meaning of an answer for its run; an empty answer is the end of the process."""
         folder, self.folder = self.folder, None
         if not answer:
             return Ended(folder, f"its process {self.cause()}", died=True) if folder else None
@@ -84,7 +84,7 @@ class LocalLauncher(Launcher):
         self._jobs = jobs or 1
         self._processes: list[RunProcess] = []
         self._failed_starts = 0
-        """Processes in a row that ended before they were ready."""
+        """Number of consecutive processes that ended before they were ready."""
         self._answers: queue.Queue[tuple[RunProcess, str]] = queue.Queue()
 
     @override

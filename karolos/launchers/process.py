@@ -1,7 +1,7 @@
 """The process that a launcher starts: `python -m karolos.launchers.process --cores N [FOLDER]`.
 
-It executes the run, or plays the zero-shot test, of a folder that exists. Without a folder it executes those that come
-on stdin, one a line.
+It executes the run or the zero-shot test of an existing folder. Without FOLDER it reads folders from stdin, one per
+line.
 """
 
 from __future__ import annotations
@@ -31,11 +31,11 @@ with BriefInterrupt():
     from .interface import LAUNCH, STOP
 
 EARLIER_PROCESS_SECONDS = 60.0
-"""How long a run waits for an earlier process of the run, which writes a checkpoint and ends."""
+"""Time that a run waits for an earlier process of the same run, which writes a checkpoint and ends."""
 
 
 def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | None:
-    """Execute the run or the test of a folder that a driver follows. Returns why it could not be executed.
+    """Execute the run or the test of a folder that a driver follows. Returns the reason if it could not be executed.
 
     Args:
         path: of the folder.
@@ -76,12 +76,12 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
 
 
 def serve(cores: int) -> None:
-    """Execute the folders that come on stdin, one a line; answer each on stdout when it has ended.
+    """Execute the folders that come on stdin, one per line. Answer on stdout at the end of each.
 
-    The first answer says that libraries are imported. The others are what `execute_folder` returns, as JSON.
+    The first answer says that libraries are imported. The others are the results of `execute_folder`, as JSON.
     """
     answers = os.fdopen(os.dup(1), "w", buffering=1, encoding="utf-8")
-    os.dup2(2, 1)  # what libraries print does not mix with the answers
+    os.dup2(2, 1)  # output of libraries does not mix with the answers
     import_libraries()
     with open(0, encoding="utf-8", closefd=False) as orders, suppress(OSError):  # the driver has ended
         answers.write("null\n")
@@ -103,7 +103,7 @@ def _progress_writer(folder: RunFolder) -> Listener:
 
 
 def main() -> None:
-    """Read the arguments; a folder that could not be executed is exit code 1."""
+    """Read the arguments. Exit code 1 if a folder could not be executed."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--cores", type=int, default=1, help="of a run")
     parser.add_argument("folder", type=Path, nargs="?", help="of a run or a test")

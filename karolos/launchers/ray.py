@@ -18,15 +18,15 @@ from .interface import Ended, Launcher
 from .local import RunProcess
 
 CHECK_SECONDS, GONE_SECONDS = 5.0, 20.0
-"""Time between two looks whether the cluster is there, and time without it after which it is gone."""
+"""Time between two checks of the cluster, and time without an answer after which it counts as gone."""
 BETWEEN = ("sh", "-c", '"$@"; exit', "run")
-"""A process between a Ray worker, which kills its children at its end, and its run, which then writes a checkpoint."""
+"""A process between a Ray worker and its run. The worker kills its children; the run can still write a checkpoint."""
 _processes: list[RunProcess] = []
 """The process that executes the runs of this Ray worker, one after another."""
 
 
 def hand_to_process(folder: str, cores: int) -> str | None:
-    """Execute a run or a test in a Ray worker. Returns why it could not be executed."""
+    """Execute a run or a test in a Ray worker. Returns the reason if it could not be executed."""
     if not Path(folder).is_dir():
         return f"{platform.node()} cannot see {folder}; use a runs folder that all machines share under this path"
     if not _processes:
@@ -51,17 +51,17 @@ class RayLauncher(Launcher):
 
     Raises:
         MachineError: Ray is not installed, there is no cluster at the address, or the cluster is gone.
-        UsageError: no machine of the cluster has so many cores or GPUs.
+        UsageError: no machine of the cluster has this number of cores or GPUs.
     """
 
     class Settings(BaseSettings):
-        cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
+        cpus: int = Setting(default=1, ge=1, description="cores of a run; two or more: tests run during training")
         gpus: float = Setting(default=0, ge=0, description="GPUs of a run; a fraction shares one")
         address: str | None = Setting(
             default=None,
-            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",
+            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first that exists",
         )
-        max_retries: int = Setting(default=3, ge=0, description="how often a run is resumed after its machine was lost")
+        max_retries: int = Setting(default=3, ge=0, description="resumptions of a run after its machine is lost")
 
     poll_seconds: ClassVar[float] = 0.5
 

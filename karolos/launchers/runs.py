@@ -1,4 +1,4 @@
-"""The runs of a spec as a job of the driver, which are followed in their folders and entered into the database."""
+"""The runs of a spec as a job of the driver: their folders are followed and entered into the database."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ Existing = Literal["ignore", "skip", "resume"]
 
 @dataclass(frozen=True)
 class Home:
-    """Where runs are kept, and what becomes of those that exist.
+    """Where runs are kept, and what to do with existing ones.
 
     Args:
         runs: folder of the run folders.
@@ -58,7 +58,7 @@ class Home:
 
     @classmethod
     def prepared(cls, spec: Spec, runs: str | Path, database: str | None, existing: Existing) -> Home:
-        """The home of a spec's runs, which can be used. What killed processes left in it is removed.
+        """The home of a spec's runs, checked. Files that killed processes left in it are removed.
 
         Raises:
             MachineError: the runs folder cannot be written.
@@ -80,7 +80,7 @@ class Home:
         return replace(self, text=spec.text)
 
     def find(self, spec: Spec, seed: int) -> RunFolder | None:
-        """The run to use instead of a new one: a finished one, or one to resume."""
+        """The existing run to use, finished or to be resumed; None: a new run is needed."""
         found = None if self.existing == "ignore" else find_run(self.runs, spec.name, spec.hash(), seed)
         return found if found and (self.existing == "resume" or found.state().state == "finished") else None
 
@@ -108,9 +108,9 @@ class RunJob(Job):
     together: bool = False
     known: Mapping[int, RunFolder] = field(default_factory=dict)
     folders: dict[int, RunFolder] = field(default_factory=dict)
-    """Seed -> its run, from its start on."""
+    """Seed -> its started run."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
-    """Seed -> its run, when it has ended."""
+    """Seed -> its ended run."""
 
     @property
     def finished(self) -> bool:
@@ -119,7 +119,7 @@ class RunJob(Job):
         return states == ["finished"] * len(self.spec.seeds)
 
     def problems(self, reason: str | None = None) -> list[str]:
-        """Which runs ended without being finished, and why: for this reason, or by their error."""
+        """One line per run that ended without being finished: this reason, or the run's error."""
         return [
             ": ".join(filter(None, (f"{run.run} is {run.state}", reason or run.error)))
             for run in self.summaries.values()
@@ -136,7 +136,7 @@ class RunJob(Job):
         for seed in self.spec.seeds:
             found = self.known.get(seed) or self.home.find(self.spec, seed)
             if found is not None and found.state().state == "finished":
-                with suppress(StoreError):  # a driver that was killed may have left it out
+                with suppress(StoreError):  # a killed driver may not have entered it
                     index_run(self.home.url, found)
                 self.folders[seed], self.summaries[seed] = found, found.summary()
             else:
@@ -207,7 +207,7 @@ class RunTask(FolderTask):
 
     @override
     def is_over(self) -> bool:
-        """Whether the process brought the run to an end, or did not begin it because the job is halted."""
+        """Whether the process ended the run, or did not begin it because the job is halted."""
         state = self._folder.state()
         if state == self._before:
             return self.job.halted is not None

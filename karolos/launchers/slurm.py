@@ -21,11 +21,11 @@ from .interface import COMMAND, LAUNCH, STOP, Ended, Launcher
 JOB = "slurm.job"
 """The file in a run's folder with the id of its job."""
 PATIENCE_SECONDS = 600.0
-"""How long squeue may fail. Its server is often away for some minutes."""
+"""Time for which squeue may fail. Its server is often unavailable for some minutes."""
 GONE_SECONDS = 30.0
-"""How long squeue must not know a job that is then taken for lost."""
+"""Time for which squeue does not know a job before the job counts as lost."""
 ANSWER_SECONDS = 60.0
-"""How long a command of Slurm may take."""
+"""Time that a command of Slurm may take."""
 SCRIPT = """#!/bin/bash
 # One line of {list} is the folder of this task's run. Before its time limit it writes a checkpoint and is queued again.
 folder=$(sed -n "$((SLURM_ARRAY_TASK_ID + 1))p" {list})
@@ -45,19 +45,19 @@ class SlurmLauncher(Launcher):
     """Jobs of Slurm. The runs folder is on a path that all machines share.
 
     A run that reaches its time limit writes a checkpoint and is queued again. Jobs stay when the driver's process ends:
-    the same command with --resume follows them again. Their output is in the runs folder (.slurm-*.out). That a run has
-    ended stands in its folder; squeue is asked for jobs that died before.
+    the same command with --resume follows them again. Their output is in the runs folder (.slurm-*.out). A run's folder
+    says that the run has ended. squeue is only asked about jobs that died before they could write this.
 
     Raises:
         MachineError: a command of Slurm is missing, or squeue fails for minutes.
     """
 
     class Settings(BaseSettings):
-        cpus: int = Setting(default=1, ge=1, description="cores of a run; with two or more, tests run beside training")
+        cpus: int = Setting(default=1, ge=1, description="cores of a run; two or more: tests run during training")
         gpus: int = Setting(default=0, ge=0, description="GPUs of a run")
-        time: str | None = Setting(default=None, description="time limit of a job, as sbatch takes it, e.g. 4:00:00")
-        partition: str | None = Setting(default=None, description="of Slurm; null: its default")
-        options: tuple[str, ...] = Setting(default=(), description="further options of sbatch, e.g. --account=me")
+        time: str | None = Setting(default=None, description="time limit of a job, as for sbatch, e.g. 4:00:00")
+        partition: str | None = Setting(default=None, description="partition of Slurm; null: its default")
+        options: tuple[str, ...] = Setting(default=(), description="more options of sbatch, e.g. --account=me")
 
     poll_seconds: ClassVar[float] = 2.0
 
@@ -67,7 +67,7 @@ class SlurmLauncher(Launcher):
         self._active: dict[str, Path] = {}
         """Job id -> folder of its run."""
         self._missing: dict[str, float] = {}
-        """Job id -> since when squeue does not know the job."""
+        """Job id -> time since which squeue does not know the job."""
         _slurm("squeue", "--version")
         self._answered = time.monotonic()
         """When squeue last answered."""
@@ -88,7 +88,7 @@ class SlurmLauncher(Launcher):
         for name, folder in self._active.items():
             ended = (read_object(folder / LAUNCH) or {}).get("ended") or self._is_gone(name, states)
             if states is not None and states.get(name) == "PENDING" and (folder / STOP).exists():
-                with suppress(MachineError):  # the next look tries again
+                with suppress(MachineError):  # the next check tries again
                     _slurm("scancel", name)
                     ended = True
             if ended:
@@ -98,7 +98,7 @@ class SlurmLauncher(Launcher):
         return None
 
     def _is_gone(self, name: str, states: dict[str, str] | None) -> bool:
-        """Whether squeue has not known a job for a while. One answer without it may be wrong."""
+        """Whether squeue has not known a job for a while. A single answer without the job may be wrong."""
         if states is None or name in states:
             self._missing.pop(name, None)
             return False
@@ -111,7 +111,7 @@ class SlurmLauncher(Launcher):
                 _slurm("scancel", *self._active)
 
     def _submit(self, states: Mapping[str, str]) -> None:
-        """Submit the new runs as one array job, but those whose job of an earlier driver goes on."""
+        """Submit the new runs as one array job, except those whose job from an earlier driver still exists."""
         for folder in list(self._new):
             job = folder / JOB
             if job.exists() and (name := job.read_text("utf-8").strip()) in states:
@@ -140,7 +140,7 @@ class SlurmLauncher(Launcher):
         number = next((line.partition(";")[0] for line in out.split() if line[:1].isdigit()), None)
         if number is None:
             hint = "`squeue --me` shows whether it has submitted the runs"
-            raise MachineError(f"sbatch gave no number of a job, but {out.strip()[:200]!r}", hint=hint)
+            raise MachineError(f"sbatch did not print the number of a job, but {out.strip()[:200]!r}", hint=hint)
         for task, folder in enumerate(self._new):
             self._active[f"{number}_{task}"] = folder
             write_whole(folder / JOB, f"{number}_{task}\n")

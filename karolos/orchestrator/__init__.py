@@ -1,1 +1,1 @@
-"""Environments over processes and threads: actions go out, steps come back through shared memory."""
+"""Spreads environments over processes and threads. Actions and steps go through shared memory."""

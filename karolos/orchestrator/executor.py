@@ -22,7 +22,7 @@ STEP = b"s"
 """Commands: the first byte of a message. Their arguments are in the environment's row of the arrays."""
 
 LARGE = 1e30
-"""Numbers of a smaller sum are finite in float32."""
+"""If the sum of numbers is smaller, all are finite in float32."""
 FAILURES = (Exception, SystemExit)
 """Exceptions of plugins that are reported to the parent."""
 Ids = NDArray[np.int64]
@@ -48,7 +48,7 @@ class Executor:
     The state of an environment that raised is unknown, so its next reset builds it again.
 
     Args:
-        stack: closes the environments, also if a later one cannot be built.
+        stack: closes the environments, even if one of them cannot be built.
     """
 
     def __init__(self, build: BuildEnvironment, count: int, stack: ExitStack) -> None:
@@ -152,7 +152,7 @@ def _is_finite(step: Step) -> bool:
     """Whether all numbers of a step are finite in float32."""
     numbers = [np.asarray(one) for one in step[:4]]
     total = sum(sum(one.tolist()) for one in numbers[:3]) + step.reward
-    if abs(total) < LARGE:  # ten times as fast as `isfinite`
+    if abs(total) < LARGE:  # ten times faster than `isfinite`
         return True
     with np.errstate(over="ignore"):
         return all(np.isfinite(one.astype(np.float32)).all() for one in numbers)
@@ -190,7 +190,7 @@ def as_karolos_error(error: BaseException, where: str) -> KarolosError:
             raise error
     except PluginError as found:
         place, plugin = str(found.where), found.plugin
-    except BaseException:  # no plugin's
+    except BaseException:  # not of a plugin
         pass
     return WorkerError(described(error), where=f"{where}: {place}", plugin=plugin, traceback=text)
 

@@ -33,14 +33,14 @@ class Limits(BaseSettings):
     time_limit: float = Setting(
         default=60.0,
         gt=0,
-        description="seconds that one reset or step may take before its worker is killed and replaced; "
-        "no limit with `processes: 0`",
+        description="largest time of one reset or step in seconds; after it the worker is killed and replaced. No "
+        "limit with `processes: 0`",
     )
     failures: int = Setting(
         default=5,
         ge=0,
-        description="consecutive failures of an environment (an error or a lost worker) that are replaced; "
-        "one more ends the run. A completed episode resets the count",
+        description="largest number of consecutive failures of an environment (an error or a lost worker) that are "
+        "replaced; one more ends the run. A completed episode resets the count",
     )
 
 
@@ -51,7 +51,7 @@ class Local(Orchestrator):
     Use threads for environments that release the lock because they wait for a device, a socket or another program.
     With `processes: 0` the calling thread steps all environments in `receive`, one after the other, for debugging.
 
-    An environment depends on its seeds and actions alone, so the layout does not change results.
+    An environment depends only on its seeds and actions, so the layout does not change results.
 
     `receive` raises the error of an environment that fails more than `failures` times without a completed episode in
     between: its KarolosError, or a WorkerError with the traceback. The environment is then idle and can be reset. The
@@ -79,7 +79,7 @@ class Local(Orchestrator):
             return max(self.processes, 1) * self.threads * self.environments
 
         def identity(self) -> dict[str, Any]:
-            """The settings that results depend on: the number of environments, not their layout."""
+            """The settings that change results: the number of environments, not their layout."""
             return {"environments": self.size}
 
     def __init__(self, settings: Local.Settings, build: BuildEnvironment) -> None:
@@ -200,7 +200,7 @@ class Local(Orchestrator):
         return Received(ids, step, rows(self._updates), failures)
 
     def parameters(self, environments: EnvironmentIds) -> FloatArray:
-        """The values that domain randomization drew for the running episodes: (n, signature.parameters.size)."""
+        """The values that domain randomization sampled for the running episodes: (n, signature.parameters.size)."""
         return self._running().arrays.parameters[np.asarray(environments, np.int64)]
 
     def measures(self, environments: EnvironmentIds) -> FloatArray:

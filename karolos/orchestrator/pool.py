@@ -1,4 +1,4 @@
-"""A pool of workers: sends commands, detects failures, replaces lost workers. A subclass starts workers of its kind."""
+"""A pool of workers: sends commands, detects failures, replaces lost workers. Subclasses start the workers."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from .shared_memory import EnvironmentArrays
 from .worker import DONE, command_message
 
 CLOSE_TIMEOUT, BUSY_TIMEOUT = 3.0, 0.4
-"""Seconds for workers to close their environments before they are killed, and to answer a command before that."""
+"""Seconds for workers to close their environments before they are killed, and before that to answer a command."""
 BUILD_TIMEOUT = 300.0
 """Seconds for a worker to build its environments: the first import of a large library may take a minute."""
 CHECK_INTERVAL = 1.0
 """Largest number of seconds between two checks for hanging workers."""
 MOST_PLANS = 64
-"""Sets of environments whose messages are kept. Bounds the memory where episodes end at random."""
+"""Number of sets of environments whose messages are kept. Limits the memory if episodes end at random times."""
 
 
 class Worker:
@@ -36,8 +36,8 @@ class Worker:
         number: of the worker.
         connections: one for each channel: of multiprocessing, or objects with their methods.
         ids: the environments of each channel.
-        end: waits this many seconds for a worker whose connections are closed, then kills it. Returns how it ended, and
-            what to do.
+        end: waits the given seconds for a worker whose connections are closed, then kills it. Returns how it ended,
+            and what to do.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class WorkerPool(ABC):
 
     signature: Signature
     arrays: EnvironmentArrays
-    """What environments read and write."""
+    """The arrays that environments read and write."""
 
     def __init__(self, layout: Sequence[Sequence[range]], time_limit: float, failures: int) -> None:
         self._layout = layout
@@ -138,7 +138,7 @@ class WorkerPool(ABC):
         self._any_lost = False
         self._done: list[Group] = []
         self._failures: list[Failure] = []
-        """What `collect` has not returned yet."""
+        """Results that `collect` has not returned yet."""
         self._plans: dict[bytes, list[tuple[Channel, Group, dict[bytes, bytes]]]] = {}
         try:
             for number in range(len(layout)):
@@ -150,7 +150,7 @@ class WorkerPool(ABC):
 
     @abstractmethod
     def _start(self, number: int) -> Worker:
-        """Start a worker, which builds its environments. Raises MachineError if the machine gives none."""
+        """Start a worker, which builds its environments. Raises MachineError if the machine cannot start it."""
 
     @abstractmethod
     def _allocate(self, signature: Signature) -> EnvironmentArrays:
@@ -223,7 +223,7 @@ class WorkerPool(ABC):
         self._any_lost = any(worker.lost for worker in self._workers)
 
     def collect(self, *, wait: bool = True) -> tuple[list[Group], list[Failure]]:
-        """The environments that have completed their commands since the last call, and those that failed.
+        """The environments that have completed their commands since the last call, and the failures.
 
         With `wait`, blocks for a limited time until there are some; both may be empty.
         """
@@ -263,7 +263,7 @@ class WorkerPool(ABC):
             error = PluginError(
                 "environments of one spec have different observations, goals or actions",
                 setting="orchestrator",
-                hint="an environment's signature must depend on its settings alone",
+                hint="an environment's signature must depend only on its settings",
             )
             self._lose(channel.worker, error)
             return
@@ -318,6 +318,6 @@ class WorkerPool(ABC):
 
 
 def _widths(signature: Signature) -> tuple[object, ...]:
-    """What must be the same for environments in the same arrays."""
+    """The facts that must be equal for environments in the same arrays."""
     goals = signature.achieved_goal, signature.desired_goal
     return (signature.observation, signature.action, *goals, signature.parameters, signature.measures)

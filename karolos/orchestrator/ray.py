@@ -29,9 +29,9 @@ CONNECT_TIMEOUT = 10.0
 
 
 def connect(address: str | None) -> tuple[Any, bool]:
-    """The module `ray`, connected to the cluster at the address, and whether it was not connected before.
+    """The module `ray`, connected to the cluster at the address, and whether this call connected it.
 
-    Without an address to that in RAY_ADDRESS or on this machine; without any, it starts one on this machine.
+    Without an address it connects to the cluster in RAY_ADDRESS or on this machine. If there is none, it starts one.
 
     Raises:
         MachineError: Ray is not installed, or no cluster answers at the address.
@@ -75,7 +75,7 @@ class Ray(Local):
         environments: int = Setting(default=4, ge=1, le=1024, description="environments per worker")
         address: str | None = Setting(
             default=None,
-            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first there is",
+            description="HOST:PORT, ray://HOST:PORT, auto, or local to start one; null: the first that exists",
         )
 
         @property
@@ -84,7 +84,7 @@ class Ray(Local):
             return self.workers * self.environments
 
         def identity(self) -> dict[str, Any]:
-            """The settings that results depend on: those of a local orchestrator of this size."""
+            """The settings that change results: those of a local orchestrator of this size."""
             return {"name": "local", "environments": self.size}
 
     def __init__(self, settings: Ray.Settings, build: BuildEnvironment) -> None:
@@ -111,7 +111,7 @@ class Ray(Local):
 
 
 class Actor:
-    """The environments of one worker, which are those with the ids from `first`: runs in an actor of Ray."""
+    """The environments of one worker, with ids from `first`, in an actor of Ray."""
 
     def __init__(self, number: int, path: list[str], packed_build: bytes, first: int, count: int) -> None:
         self._where = f"worker {number}"
@@ -197,7 +197,7 @@ class ActorConnection:
     """
 
     arrays: EnvironmentArrays
-    """The parent's, which messages take their rows from and answers are written to."""
+    """The parent's arrays: messages take rows from them, answers are written to them."""
 
     def __init__(self, ray: Any, actor: Any) -> None:
         self.ray, self.actor = ray, actor
@@ -224,7 +224,7 @@ class ActorConnection:
         return bytes(answer)
 
     def close(self) -> None:
-        """Let the actor close its environments after the calls that it has got."""
+        """Let the actor close its environments after its pending calls."""
         self.answers.clear()
         if self.ray.is_initialized():
             self.answers.append((self.actor.close.remote(), b""))
@@ -238,10 +238,10 @@ class ActorConnection:
 
 
 def _inputs(arrays: EnvironmentArrays, message: bytes) -> NDArray[Any]:
-    """What a message's environments read: seeds for a reset, else actions."""
+    """The array that a message's environments read: seeds for a reset, else actions."""
     return arrays.seed if message[:1] == RESET else arrays.action
 
 
 def _outputs(arrays: EnvironmentArrays) -> list[NDArray[Any]]:
-    """What environments write."""
+    """The arrays that environments write."""
     return [arrays.parameters, arrays.measures, arrays.commands, *arrays.step]

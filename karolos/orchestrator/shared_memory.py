@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from ..core import FloatArray, Signature, Step
 
 ALIGNMENT = 64
-"""Bytes: each array begins at a multiple, so that no two arrays share a cache line."""
+"""Each array begins at a multiple of these bytes, so that arrays never share a cache line."""
 
 
 @dataclass(frozen=True)
 class EnvironmentArrays:
-    """One row per environment: `seed` and `action` are written by the parent, the other arrays by the environments."""
+    """One row per environment. The parent writes `seed` and `action`, the environments write the other arrays."""
 
     seed: NDArray[np.uint64]
     action: FloatArray

@@ -1,4 +1,4 @@
-"""Several environments over processes as one vector environment of gymnasium, for `gymnasium.make_vec`."""
+"""Several environments in worker processes as one vector environment of gymnasium, for `gymnasium.make_vec`."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .local import Local
 
 Infos = dict[str, Any]
 OPTIONS = ("processes", "autoreset_mode", "render_mode", "max_episode_steps")
-"""Arguments of `VectorGoalEnv`; others are settings of the robot, the task and the environment."""
+"""Arguments of `VectorGoalEnv`. All others are settings of the robot, the task and the environment."""
 
 
 class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
@@ -74,10 +74,10 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._ids = np.arange(num_envs)
         self._generators = [np_random()[0] for _ in range(num_envs)]
-        """They draw the seeds of episodes, one for each environment."""
+        """Generators of the episodes' seeds, one per environment."""
         self._seeds = [0] * num_envs
         self._over: BoolArray | None = None
-        """Whose episodes are over and have to be reset; None: all have to be."""
+        """Environments whose episodes are over and must be reset; None: all of them."""
         build = partial(build_environment, recipe)
         self._orchestrator = _Uneven(min(cores() if processes is None else processes, num_envs), num_envs, build)
 
@@ -87,9 +87,9 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         """Begin episodes.
 
         Args:
-            seed: that of the first environment, which the others count on; or one for each; None: the next episodes
-                in the sequences of the last ones.
-            options: `reset_mask`, (n,) bool: resets the marked environments alone.
+            seed: of the first environment, and the others count up from it; or one per environment; None: the next
+                episodes in the sequences of the last ones.
+            options: `reset_mask`, (n,) bool: resets only the marked environments.
         """
         which = np.asarray((options or {}).get("reset_mask", np.ones(self.num_envs, np.bool_)))
         seeds = (
@@ -113,7 +113,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return Observation(self._latest, self.facts), self._infos(self._latest, which, begun=which)
 
     def step(self, actions: NDArray[Any]) -> tuple[Observation, NDArray[Any], NDArray[Any], NDArray[Any], Infos]:
-        """One control step of each environment; with "NextStep" the reset of those whose episodes are over.
+        """One control step of each environment. With "NextStep" environments whose episodes are over are reset instead.
 
         Raises:
             ResetNeeded: before a reset, after an error, and with "Disabled" after the end of an episode.
@@ -163,7 +163,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return received.step
 
     def _infos(self, step: Step, which: BoolArray, *, begun: BoolArray) -> Infos:
-        """Infos of the marked environments, those included that have just `begun` an episode."""
+        """Infos of the marked environments, including those that have just `begun` an episode."""
         signature, infos = self.facts.signature, Infos()
         _put(infos, which, {"is_success": step.success, "truncated": step.truncated, "diverged": step.diverged})
         _put(infos, begun, {"seed": np.array(self._seeds)})
@@ -182,12 +182,12 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
         return infos
 
     def close_extras(self, **_: Any) -> None:
-        if hasattr(self, "_orchestrator"):  # gymnasium closes what could not be made, too
+        if hasattr(self, "_orchestrator"):  # gymnasium also closes an environment that could not be made
             self._orchestrator.close()
 
 
 class _Uneven(Local):
-    """Environments over processes that need not divide their number."""
+    """Spreads environments over processes; their number need not be a multiple of the processes."""
 
     def __init__(self, processes: int, size: int, build: BuildEnvironment) -> None:
         self._bounds = [size * place // processes for place in range(processes + 1)] if processes else []
@@ -198,7 +198,7 @@ class _Uneven(Local):
 
 
 def _put(infos: Infos, which: BoolArray, entries: Mapping[str, Any]) -> Infos:
-    """Add entries of the marked environments, 0 elsewhere, and below `_name` the marks, as gymnasium does."""
+    """Add entries of the marked environments, 0 for others, and the mask under `_name`, as gymnasium does."""
     if not which.any():
         return infos
     for name, value in entries.items():

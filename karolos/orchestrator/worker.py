@@ -33,7 +33,7 @@ FAILED = b"!"
 NO_ENVIRONMENT = -1
 """The environment id in errors of building."""
 WORKER_FAILURES = (*FAILURES, KeyboardInterrupt)
-"""Workers ignore Ctrl-C: an interrupt in one is the environment's."""
+"""Workers ignore Ctrl-C: an interrupt comes from the environment."""
 ORPHAN_TIMEOUT = 2.0
 """Seconds for the channels to end by themselves after the parent has ended."""
 
@@ -99,7 +99,7 @@ def _serve(where: str, packed_build: bytes, connection: Connection, ids: range, 
 
 
 def build_environments(packed_build: bytes, count: int, stack: ExitStack, where: str) -> tuple[Executor | None, bytes]:
-    """Build a worker's environments, which `stack` closes. The answer is their signature, or why they are missing."""
+    """Build a worker's environments, which `stack` closes. The answer is their signature, or the error."""
     try:
         executor = Executor(pickle.loads(packed_build), count, stack)
         return executor, DONE + pickle.dumps(executor.signature)

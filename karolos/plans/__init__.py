@@ -1,1 +1,1 @@
-"""Plans: sweeps, suites and matrices of transfers. Their runs are ordinary runs. Optuna is used in `study` only."""
+"""Plans: sweeps, suites and matrices of transfers. Their runs are ordinary runs. Only `study` uses Optuna."""

@@ -1,9 +1,10 @@
 """A matrix of transfers: trains every source, tests its policies on every target, and fine-tunes them there.
 
-The run of a variant is a source of policies, and what training from scratch achieves on that variant as a target.
+The run of a variant is a source of policies, and what training from scratch achieves on that variant as a target. A
+target without runs may be one that the task refuses, such as an arm without room for it: it is named with the reason.
 runs/transfers/<name>/ holds what no run holds:
     baselines.jsonl    success of random actions and of the scripted expert on each variant
-    tests/             what the processes of a launcher need for tests, while they are played
+    tests/             folders of zero-shot tests while a launcher's processes play them
     lock               held by the process of the matrix
 """
 
@@ -20,7 +21,7 @@ from typing_extensions import override
 
 from .. import system
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..errors import RunError, UsageError
+from ..errors import PluginError, RunError, UsageError
 from ..evaluation.playing import evaluate_alone
 from ..evaluation.policies import expert_policy, random_policy, signature_of
 from ..evaluation.zero_shot import ZeroShotTest
@@ -41,7 +42,7 @@ CHECKPOINT = "best"
 """The policy of a source that is tested and fine-tuned."""
 LONGEST_NAME = 64
 BASELINE_EPISODES = 200
-"""Most episodes of the random policy and of the expert: the first ones of the final test."""
+"""Largest number of episodes of the random policy and of the expert: the first ones of the final test."""
 
 Pair = tuple[str, str]
 """Source and target."""
@@ -78,7 +79,7 @@ class Matrix(Plan):
         self.spec, self.transfer = spec, spec.transfer
         self.name = self.folder_name = spec.name
         labels = list(self.transfer.settings)
-        self.pairs = list(permutations(labels, 2))
+        self.pairs = [pair for pair in permutations(labels, 2) if pair[0] in self.transfer.source_names]
         longest = max((_name(spec, *pair) for pair in self.pairs), key=len)
         if len(longest) > LONGEST_NAME:
             raise UsageError(
@@ -104,13 +105,18 @@ class Matrix(Plan):
         """Pair -> seed -> its finished run."""
         self.baselines: dict[str, Baselines] = {}
         """Variant -> success without learning."""
+        self.refused: dict[str, str] = {}
+        """Target without runs of its own -> why the robot and the task do not go together."""
         self.problems: list[str] = []
-        """Which runs and tests are missing, and why."""
+        """Missing runs and tests, with the reasons."""
 
     def __str__(self) -> str:
-        """What the matrix consists of, in one line."""
+        """The content of the matrix, in one line."""
         count, steps = len(self.spec.seeds), self.spec.training.steps
-        parts = [f"{len(self.variants) * count} sources of {steps:,} steps"]
+        sources, trained = len(self.transfer.source_names), len(self.transfer.trained)
+        parts = [f"{sources * count} sources of {steps:,} steps"]
+        if trained > sources:
+            parts.append(f"{(trained - sources) * count} references")
         if "zero_shot" in self.transfer.modes:
             testing = self.spec.testing
             parts.append(f"{len(self.pairs) * count} tests of {testing.final_count or testing.episodes:,} episodes")
@@ -125,14 +131,25 @@ class Matrix(Plan):
         with located(self.spec):
             signatures = {}
             for label, variant in self.variants.items():
-                check_parts(variant, jobs)
-                signatures[label] = signature_of(variant)
+                try:
+                    if label in self.transfer.trained:
+                        check_parts(variant, jobs)
+                    signatures[label] = signature_of(variant)
+                except (PluginError, UsageError) as error:
+                    if label in self.transfer.trained:
+                        raise
+                    self.refused[label] = "; ".join(filter(None, (error.what, error.hint)))
+                    continue
                 if not signatures[label].has_success:
                     raise UsageError(
-                        "its environment does not define success, by which transfer is measured",
+                        "its environment does not define success, which measures transfer",
                         setting=self.transfer.place(label),
                         hint="give environment.success_return, or another environment",
                     )
+            self.pairs = [pair for pair in self.pairs if pair[1] not in self.refused]
+            if not self.pairs:
+                what = f"no target can be used: {next(iter(self.refused.values()))}"
+                raise UsageError(what, setting=self.transfer.place(next(iter(self.refused))))
             robots = [one.robot for one in self.variants.values() if one.robot is not None]
             by_joints = any(getattr(one.settings, "control", None) == "joint" for one in robots)
             for source, target in self.pairs:
@@ -149,7 +166,8 @@ class Matrix(Plan):
                         setting=self.transfer.place(target),
                         hint="give every variant the same settings, with the values that it has",
                     )
-            for label, tuned in self._tuned.items():
+            for label in dict.fromkeys(target for _, target in self.pairs if self._tuned):
+                tuned = self._tuned[label]
                 check_parts(tuned, jobs)
                 if "start_from" not in type(tuned.agent.settings).model_fields:
                     raise UsageError(
@@ -161,7 +179,7 @@ class Matrix(Plan):
 
     @override
     def execute(self) -> bool:
-        variants = {label: pinned(spec, self.home.runs) for label, spec in self.variants.items()}
+        variants = {label: pinned(self.variants[label], self.home.runs) for label in self.transfer.trained}
         self._check_begun(variants.values())
         self.say(f"{self.name}: {self}")
         home = replace(self.home, existing="resume")
@@ -173,6 +191,8 @@ class Matrix(Plan):
             self._test()
             self.driver.stop.check()
         for label, spec in self.variants.items():
+            if label in self.refused:
+                continue
             with self.driver.stop.at_once():
                 self.baselines[label] = measure_baselines(spec, self.folder / "baselines.jsonl")
         tuned = [(pair, RunJob(spec, home)) for pair, spec in self._fine_tuning()]
@@ -191,17 +211,17 @@ class Matrix(Plan):
         ]
         finished = [folder for folder in begun if folder.state().state == "finished"]
         if begun and self.home.existing == "ignore":
-            count = len(self.variants) * len(self.spec.seeds)
+            count = len(self.transfer.trained) * len(self.spec.seeds)
             raise UsageError(
-                f"the matrix {self.name} has begun: {len(finished)} of {count} sources are finished",
+                f"the matrix {self.name} exists: {len(finished)} of {count} sources are finished",
                 where=str(self.home.runs),
-                hint="--resume continues it and runs nothing twice; name=... begins another one",
+                hint="--resume continues it without repeating runs; name=... begins another one",
             )
         for folder in finished:
             _require_checkpoint(folder)
 
     def _trained(self, spec: Spec) -> dict[int, RunFolder]:
-        """Seed -> finished run of this experiment under another name, for seeds that have none under the variant's."""
+        """Seed -> finished run of this experiment under another name, if the variant's name has none for the seed."""
         found: dict[int, RunFolder] = {}
         experiment = spec.hash()
         for folder in scan(self.home.runs):
@@ -307,7 +327,7 @@ def _require_checkpoint(folder: RunFolder) -> None:
 
 
 def measure_baselines(spec: Spec, path: Path) -> Baselines:
-    """Success of random actions and of the expert, from the file if they were measured already."""
+    """Success of random actions and of the expert, read from the file if it was measured before."""
     episodes = min(spec.testing.final_count or spec.testing.episodes, BASELINE_EPISODES)
     key = {"experiment": spec.hash(), "episodes": episodes}
     for row in read_lines(path).rows:

@@ -6,9 +6,10 @@ The seed is the unit, and source, target and fine-tuning are paired by it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from itertools import product
+from math import hypot
 from statistics import fmean
 from typing import Any
 
@@ -19,14 +20,18 @@ from ..comparison.contenders import Contender
 from ..comparison.curves import places
 from ..comparison.scores import Comparison, Estimate, Reaching, compare, estimate, reaching
 from ..core.seeding import SeedTree
+from ..environments.build import used
+from ..environments.robot_task import RobotTask
+from ..evaluation.policies import environment_of
 from ..records import RunFolder
 from ..records.evaluation import Evaluation
 from ..records.run_records import RunRecord
 from ..report import tables
 from ..report.comparison_figures import heat_map, titled_curve
-from ..report.figures import Drawing, look, short
+from ..report.figures import HEIGHT, WIDTH, Drawing, file_name, look, short
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, interval_notes, reached, success
+from ..simulation.interface import Camera
 from ..statistics import aggregates, transfer
 from ..statistics.reaching import first_reaching
 from .matrix import Matrix, Pair
@@ -34,7 +39,7 @@ from .matrix import Matrix, Pair
 
 @dataclass(frozen=True)
 class TransferMetric:
-    """An estimate of a cell: how it is named, explained and shaded."""
+    """A metric of a cell: its name, explanation and shading."""
 
     title: str
     meaning: str
@@ -43,10 +48,18 @@ class TransferMetric:
     larger_is_better: bool = True
 
 
+GOOD = 0.9
+"""Success on an arm that counts as doing the task."""
+MANY = 6
+"""Targets from which on a map has a row for each."""
+PICTURE = 480, 360
+"""Size in pixels of the picture of a target."""
+USUAL_REACH = 0.5
+"""Way in m from the base to the tool at home of the arms that a camera shows whole."""
 METRICS = {
     "zero_shot": TransferMetric(
         "Zero-shot success",
-        "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
+        "the source's best policy on the target, in the held-out episodes of the final test; on the "
         "diagonal on its own variant",
     ),
     "retention": TransferMetric(
@@ -89,8 +102,8 @@ class Paired(Estimate):
 
     pairs: int
     alone: int
-    """Pairs that alone have a value, which smallest and largest are of. A ratio by 0 has none, nor has forward transfer
-    where training from scratch leaves nothing to gain."""
+    """Number of pairs with a value of their own; smallest and largest are taken over these. A ratio by 0 has no value,
+    and forward transfer has none if training from scratch leaves nothing to gain."""
 
 
 @dataclass(frozen=True)
@@ -100,9 +113,9 @@ class Cell:
     source: str
     target: str
     estimates: Mapping[str, Estimate | None]
-    """By their names in METRICS; those without the runs or tests that they need are missing."""
+    """Metrics by their names in METRICS, without those whose runs or tests are missing."""
     reaching: Reaching | None
-    """When fine-tuning reached the threshold."""
+    """Steps at which fine-tuning reached the threshold."""
     tests: Mapping[int, Evaluation]
     """Seed -> zero-shot test."""
     runs: Mapping[int, RunRecord]
@@ -111,22 +124,24 @@ class Cell:
 
 @dataclass(frozen=True)
 class Variant:
-    """A source, which is also the training from scratch on a target."""
+    """A variant as a source, and as training from scratch on a target."""
 
     label: str
     runs: Mapping[int, RunRecord]
     """Seed -> finished run."""
     success: Estimate | None
-    """After its own training."""
+    """Results after its own training."""
     reaching: Reaching | None
     steps: float
-    """Environment steps of a run, mean over seeds: what a source costs."""
+    """Environment steps of a run, mean over seeds: the cost of a source."""
     seconds: float
     """Seconds of collecting and learning, mean over seeds."""
-    floor: Estimate
-    """Success of uniformly random actions."""
+    floor: Estimate | None
+    """Success of uniformly random actions; None where the task refuses the robot."""
     ceiling: Estimate | None
     """Success of the scripted expert."""
+    refused: str | None = None
+    """Why the robot and the task do not go together."""
 
 
 @dataclass(frozen=True)
@@ -138,15 +153,20 @@ class TransferReport:
     seeds: tuple[int, ...]
     variants: tuple[Variant, ...]
     cells: tuple[Cell, ...]
-    """Source by source, the diagonal included."""
+    """Cells by source, including the diagonal."""
     learning: Mapping[str, Comparison]
     """Target -> training from scratch and fine-tuning from each source."""
     warnings: tuple[str, ...]
 
     @property
     def labels(self) -> list[str]:
-        """The names of the variants."""
+        """The names of the targets."""
         return [variant.label for variant in self.variants]
+
+    @property
+    def sources(self) -> list[str]:
+        """The names of the sources."""
+        return list(dict.fromkeys(cell.source for cell in self.cells))
 
     @property
     def metrics(self) -> dict[str, TransferMetric]:
@@ -157,7 +177,7 @@ class TransferReport:
         """One metric: each source with an estimate per target."""
         return [
             (source, [cell.estimates.get(name) for cell in self.cells if cell.source == source])
-            for source in self.labels
+            for source in self.sources
         ]
 
     def rows(self) -> list[dict[str, Any]]:
@@ -187,12 +207,13 @@ class TransferReport:
                 "runs": [run.summary.run for run in target.runs.values()],
                 "experiment": next((run.summary.experiment for run in target.runs.values()), None),
             },
-            "floor": target.floor.value,
+            "floor": target.floor and target.floor.value,
             "ceiling": target.ceiling and target.ceiling.value,
             "source_cost": {"steps": source.steps, "seconds": source.seconds},
             "source_runs": [run.summary.run for run in source.runs.values()],
             "fine_tuned_seeds": list(cell.runs),
             "fine_tuned_runs": [run.summary.run for run in cell.runs.values()],
+            "refused": target.refused,
             "warnings": list(self.warnings),
         }
 
@@ -202,17 +223,17 @@ def _reaching_row(found: Reaching | None) -> dict[str, Any] | None:
 
 
 def transfer_report(found: Matrix) -> TransferReport:
-    """The numbers of the runs and tests of a matrix, after they were made."""
+    """The numbers of a matrix, from its runs and tests."""
     settings = found.transfer
     tree, threshold = SeedTree(0).child("transfer"), settings.threshold
     untested: list[str] = []
-    scratch = {label: _compared(runs, untested) for label, runs in found.sources.items()}
+    scratch = {label: _compared(found.sources.get(label, {}), untested) for label in found.variants}
     tuned = {pair: _compared(runs, untested) for pair, runs in found.fine_tuned.items()}
     tests = {pair: dict(each) for pair, each in found.zero_shot.items()}
-    for (source, _), each in found.zero_shot.items():  # the own test comes with any target's
+    for (source, _), each in found.zero_shot.items():  # a test on any target includes the test on the own variant
         tests.setdefault((source, source), {}).update({seed: test.own for seed, test in each.items() if test.own})
     cells = []
-    for source, target in product(scratch, repeat=2):
+    for source, target in product(settings.source_names, scratch):
         pair, leaf = (source, target), tree.child(source, target)
         baseline = scratch[target] if "scratch" in settings.modes else {}
         runs, counts = tuned.get(pair, {}), tests.get(pair, {})
@@ -231,8 +252,9 @@ def transfer_report(found: Matrix) -> TransferReport:
                 reaching=_reaching(runs, threshold),
                 steps=_mean([run.summary.steps for run in runs.values()]),
                 seconds=_mean([run.summary.seconds for run in runs.values()]),
-                floor=_wilson(found.baselines[label].floor),
-                ceiling=None if (expert := found.baselines[label].ceiling) is None else _wilson(expert),
+                floor=_wilson(known.floor) if (known := found.baselines.get(label)) else None,
+                ceiling=_wilson(known.ceiling) if known and known.ceiling else None,
+                refused=found.refused.get(label),
             )
             for label, runs in scratch.items()
         ),
@@ -285,7 +307,7 @@ def _zero_shot(
 def _fine_tuned(
     runs: Mapping[int, RunRecord], scratch: Mapping[int, RunRecord], threshold: float, tree: SeedTree
 ) -> dict[str, Estimate | None]:
-    """The estimates of a cell that fine-tuning gives. Those that compare it use the seeds that both have."""
+    """The estimates of a cell from fine-tuning. Comparisons use the seeds that both sides have."""
     reported = _reported(runs, tree.child("fine tuned"))
     if reported is None:
         return {}
@@ -326,7 +348,7 @@ def _difference(values: NDArray[np.float64], baseline: NDArray[np.float64]) -> N
 
 
 def _time(run: RunRecord, threshold: float) -> tuple[float, bool]:
-    """Steps at which a run reached the threshold, or at which it ended without; and whether it did."""
+    """Steps at which a run reached the threshold or, without reaching it, ended; and whether it reached it."""
     at = places(run, "steps").tolist()
     reached = first_reaching(run.values("end"), at, threshold)
     return (at[-1], False) if reached is None else (reached, True)
@@ -348,13 +370,17 @@ def _learning(
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
-    """One metric: a row per source, a column per target."""
+    """One metric: a row per source, a column per target; of many targets a row each."""
     rows = [(source, *map(tables.estimate, found)) for source, found in report.matrix(name)]
-    return Table(["from", *(f"to {label}" for label in report.labels)], rows, METRICS[name].title)
+    columns = ["from", *(f"to {label}" for label in report.labels)]
+    if len(report.labels) > MANY:
+        columns = ["to", *(f"from {source}" for source, *_ in rows)]
+        rows = list(zip(report.labels, *(cells for _, *cells in rows), strict=True))
+    return Table(columns, rows, METRICS[name].title)
 
 
 def variants_table(report: TransferReport) -> Table:
-    """One row per variant: what it costs as a source, and what is possible on it as a target."""
+    """One row per variant: its cost as a source, and the reachable success on it as a target."""
     columns: Columns[Variant] = {
         "variant": lambda one: one.label,
         "success from scratch": lambda one: tables.estimate(one.success),
@@ -363,8 +389,45 @@ def variants_table(report: TransferReport) -> Table:
         "expert": lambda one: tables.estimate(one.ceiling),
         "steps of a source": lambda one: count(one.steps),
         "its time": lambda one: duration(one.seconds),
+        "refused": lambda one: one.refused or "",
     }
     return Table.of(report.variants, columns, "Variants")
+
+
+def targets_table(found: Sequence[tuple[str, str, float | None, str | None]], of: str) -> Table:
+    """A row for each policy. The arm is the unit: mean over arms with its interval, least, and which arms cannot.
+
+    Args:
+        found: policy, arm, success there if it is known, and why the arm does not do the task.
+        of: what the rows are of.
+    """
+    rows = []
+    for policy in dict.fromkeys(policy for policy, *_ in found):
+        here = [one[1:] for one in found if one[0] == policy]
+        known = sorted((success, arm) for arm, success, _ in here if success is not None)
+        values = [success for success, _ in known]
+        mean = estimate([values], aggregates.mean, SeedTree(0).child("arms", policy)) if values else None
+        good = f"{sum(value >= GOOD for value in values)} of {len(here)}"
+        least = "{:.2f} {}".format(*known[0]) if known else "-"
+        cannot = "; ".join(f"{arm}: {reason}" for arm, _, reason in here if reason)
+        rows.append((policy, str(len(values)), tables.estimate(mean), least, good, cannot))
+    return Table([of, "arms", "mean", "least", f"{GOOD:g} or more", "cannot"], rows, "Over arms")
+
+
+def over_targets(report: TransferReport) -> list[Table]:
+    """`targets_table` of each source, of own training, experts and random actions; none if all targets are sources."""
+    if report.sources == report.labels:
+        return []
+    found = [
+        (cell.source, cell.target, cell.estimates.get("zero_shot"))
+        for cell in report.cells
+        if cell.source != cell.target
+    ]
+    for one in report.variants:
+        for what, known in (("own training", one.success), ("expert", one.ceiling), ("random actions", one.floor)):
+            found += [(what, one.label, known)] if known else []
+    refused = {one.label: one.refused for one in report.variants}
+    return [targets_table([(a, b, one.value if one else None, refused[b]) for a, b, one in found], "policy")]
 
 
 def cells_table(report: TransferReport) -> Table:
@@ -381,7 +444,7 @@ def _shown(name: str, cell: Cell) -> str:
 
 
 def verdict(report: TransferReport) -> str:
-    """What the matrix says about transfer between different variants, in a sentence or two."""
+    """Summary of the transfer between different variants, in a sentence or two."""
     pairs = [cell for cell in report.cells if cell.source != cell.target]
     found = [(one.value, cell) for cell in pairs if (one := cell.estimates.get("zero_shot")) is not None]
     if not found:
@@ -398,7 +461,7 @@ def verdict(report: TransferReport) -> str:
 
 
 def notes(report: TransferReport) -> list[str]:
-    """What the numbers mean."""
+    """Explanations of the numbers."""
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     for name, metric in report.metrics.items():
@@ -411,6 +474,8 @@ def notes(report: TransferReport) -> list[str]:
             lines.append(f"{metric.title}, pairs that alone have a value: {', '.join(without)}")
     if any(cell.reaching for cell in report.cells):
         lines.append(f"threshold: success at the end of {report.threshold:g} in a test; (k of n): runs that reached it")
+    if over_targets(report):
+        lines.append("over arms: each arm counts once, with its mean over the seeds")
     lines.append("random policy, expert: what is possible without learning, with a 95 % Wilson interval")
     return lines
 
@@ -423,9 +488,42 @@ def metric_map(report: TransferReport, name: str) -> Drawing:
         rows.append(("random", [variant.floor for variant in report.variants]))
     caption = f"{metric.meaning[0].upper()}{metric.meaning[1:]}."
     drawing = Drawing(f"transfer_{name}", metric.title, caption)
-    heat_map(drawing, rows, report.labels, neutral=metric.neutral, larger_is_better=metric.larger_is_better)
-    drawing.axes.set(xlabel="to", ylabel="from")
+    columns, axes = report.labels, ("to", "from")
+    if len(columns) > MANY:
+        rows, columns = (
+            [(label, [cells[place] for _, cells in rows]) for place, label in enumerate(columns)],
+            [source for source, _ in rows],
+        )
+        axes = ("from", "to")
+        drawing.figure.set_size_inches(WIDTH, HEIGHT * len(rows) / MANY / 2)
+    heat_map(drawing, rows, columns, neutral=metric.neutral, larger_is_better=metric.larger_is_better)
+    drawing.axes.set(xlabel=axes[0], ylabel=axes[1])
     return drawing
+
+
+@look()
+def pictures(found: Matrix, report: TransferReport) -> list[Drawing]:
+    """A picture of each robot with the task, and the success of the sources on it."""
+    drawn = []
+    for label, spec in found.variants.items():
+        if spec.robot is None or label in found.refused:
+            continue
+        with used(environment_of(spec)) as environment:
+            environment.reset(spec.testing.final_seed)
+            assert isinstance(environment, RobotTask)
+            robot, view = environment.robot, Camera()
+            (x, y, _), (dx, dy, _) = robot.base, np.subtract(robot.tool.position, robot.base).tolist()
+            scale = max(1.0, hypot(dx, dy) / USUAL_REACH)  # a large arm is seen from further away
+            target = x + 0.66 * dx, y + 0.66 * dy, scale * view.target[2]
+            view = replace(view, target=target, distance=scale * view.distance, base=robot.base)
+            image = environment.world.render(*PICTURE, view)
+        cells = [one for one in report.cells if one.target == label and "zero_shot" in one.estimates]
+        success = ", ".join(f"from {one.source} {tables.estimate(one.estimates['zero_shot'])}" for one in cells)
+        drawing = Drawing(f"arm_{file_name(label)}", label, success)
+        drawing.axes.imshow(image)
+        drawing.axes.set_axis_off()
+        drawn.append(drawing)
+    return drawn
 
 
 @look()
@@ -435,10 +533,14 @@ def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawin
     return [metric_map(report, name) for name in report.metrics], curves
 
 
-def matrix_page(report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing]) -> str:
+def matrix_page(
+    report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing], robots: Sequence[Drawing] = ()
+) -> str:
     """The page as text."""
     sections = [
         Section(text=verdict(report), figures=maps),
+        *(Section(one.title, table=one) for one in over_targets(report)),
+        *([Section("Robots", figures=robots)] if robots else []),
         Section("In numbers", table=cells_table(report), notes=notes(report)),
         Section("Sources and targets", table=variants_table(report)),
         *([Section("Learning", figures=curves)] if curves else []),

@@ -67,7 +67,7 @@ def _of_test(name: str, test: Evaluation) -> float:
 def so_far(objective: str, tests: Tests, count: int) -> float:
     """The value for the pruner after `count` tests of every seed; it has the direction of the objective.
 
-    For steps_to_*, which are unknown before the end, this is the fraction of failed test episodes.
+    steps_to_* are unknown before the end. For them it is the fraction of failed test episodes.
     """
     begun = {seed: results[:count] for seed, results in tests.items()}
     if objective.startswith("steps_to_"):

@@ -1,4 +1,4 @@
-"""What sweeps, suites and matrices of transfers have in common: how they are run, stopped and resumed."""
+"""The common part of sweeps, suites and matrices of transfers: they are run, stopped and resumed in the same way."""
 
 from __future__ import annotations
 
@@ -27,19 +27,19 @@ LOCK_SECONDS = 0.5
 class Plan(ABC):
     """Experiments that are run together and reported together.
 
-    Their runs are ordinary runs, whose folders say what is done: a plan that was stopped goes on where it ended. What
-    `run` has found stands in the plan.
+    Their runs are ordinary runs, and the run folders say what is done: a stopped plan continues where it ended. `run`
+    leaves its results in the plan.
     """
 
     what: ClassVar[str]
-    """What a person calls it."""
+    """Word for this kind of plan."""
     place: ClassVar[str]
     """The folder of all such plans, in the runs folder."""
     name: str
     folder_name: str
     """Name of its own folder; usually that of the plan."""
     spec: Spec
-    """The one whose launcher is used."""
+    """The spec whose launcher is used."""
     jobs: int | None = None
     home: Home
     driver: Driver
@@ -56,7 +56,7 @@ class Plan(ABC):
         listener: Callable[[Any], object] = lambda _: None,
         say: Callable[[str], object] = lambda _: None,
     ) -> Outcome:
-        """Run what is missing, and nothing twice.
+        """Run all missing runs, and none twice.
 
         Args:
             runs: folder of the run folders, and of the plan's own folder.
@@ -98,14 +98,14 @@ class Plan(ABC):
 
     @abstractmethod
     def check(self) -> None:
-        """Raise an error for what cannot work, before anything runs. A stop request breaks it off."""
+        """Raise an error if the plan cannot work, before anything runs. A stop request aborts the check."""
 
     @abstractmethod
     def execute(self) -> bool:
-        """Run what is missing. Returns whether everything is there."""
+        """Run all missing runs. Returns whether the plan is complete."""
 
     def claim(self, stack: ExitStack) -> None:
-        """Let no other process run the plan as well, until the stack is left. Raises RunError."""
+        """Claim the plan, so that no other process runs it until the stack is left. Raises RunError."""
         refusal = RunError(f"another process runs this {self.what}", where=str(self.folder), hint="wait for it")
         stack.enter_context(locked(self.folder / LOCK, refusal, LOCK_SECONDS))
 

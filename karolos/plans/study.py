@@ -1,4 +1,4 @@
-"""Sampler, pruner and journal of a sweep. This module alone imports Optuna.
+"""Sampler, pruner and journal of a sweep. Only this module imports Optuna.
 
 Only the main process accesses the study. The values of trial k depend on the sweep's seed, k and the earlier trials, so
 interruptions do not change a sweep with one job at a time.
@@ -32,13 +32,13 @@ _RUNS, _ERROR = "runs", "error"
 optuna.logging.set_verbosity(optuna.logging.ERROR)  # the sweep reports its own progress
 warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)  # constraints.txt pins the version
 STARTUP_TRIALS = 10
-"""Trials with random values, before values depend on results."""
+"""Number of first trials with random values. Later values depend on results."""
 FEW_TRIALS = 4
 """Smallest number of different results for parameter importances."""
 
 
 class _NoLock(JournalFileOpenLock):
-    """Takes the place of Optuna's lock, which outlives a killed process. The lock of the sweep's folder is enough."""
+    """Replaces Optuna's lock, which outlives a killed process. The lock of the sweep's folder is enough."""
 
     def acquire(self) -> bool:
         return True
@@ -106,7 +106,7 @@ class Study:
 
     @staticmethod
     def draws(sweep: Sweep, count: int) -> list[dict[str, Any]]:
-        """The values of the first `count` trials, of which none depends on results: at most STARTUP_TRIALS."""
+        """The values of the first `count` trials, at most STARTUP_TRIALS. None of them depends on results."""
         study, drawn = optuna.create_study(directions=["minimize"] * len(sweep.objectives)), []
         for number in range(count):
             study.sampler = _sampler(sweep, number)
@@ -187,7 +187,7 @@ def _sampler(sweep: Sweep, number: int) -> optuna.samplers.BaseSampler:
         return optuna.samplers.GPSampler(seed=seed, n_startup_trials=STARTUP_TRIALS, warn_independent_sampling=False)
     if sweep.sampler == "tpe":
         conditional = any(parameter.when for parameter in sweep.space.values())
-        # `group` draws together what is drawn under the same conditions.
+        # `group` samples settings with the same conditions together.
         return optuna.samplers.TPESampler(
             seed=seed, n_startup_trials=STARTUP_TRIALS, multivariate=True, group=conditional
         )

@@ -1,4 +1,4 @@
-"""Trains the specs of a suite, each with its seeds. A budget of time may cut their runs."""
+"""Trains the specs of a suite, each with its seeds. A budget of time may stop their runs."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ..training.assembly import check_parts
 from .plan import Plan
 
 START_SECONDS, STEPS_PER_SECOND = 10, 330
-"""What a run takes until it trains, and the median of the reference runs (docs/results.md) on two cores."""
+"""Seconds until a run trains, and median steps per second of the reference runs (docs/results.md) on two cores."""
 LONGEST_FOLDER = 100
 
 
@@ -32,9 +32,9 @@ class SuiteJob(RunJob):
     """The runs of one spec of a suite."""
 
     budget: Budget | None = None
-    """What its one run shares with those of other specs."""
+    """The budget that its one run shares with the runs of other specs."""
     used: float = 0.0
-    """Seconds that its one run took in earlier commands."""
+    """Seconds of its one run in earlier commands."""
     cut: str | None = None
     """Why its run did not fit into the budget."""
 
@@ -56,25 +56,25 @@ class SuiteJob(RunJob):
 
 
 class Budget:
-    """Seconds that jobs of one run each share by their declared steps. What a run leaves goes to those after it.
+    """Seconds that jobs with one run each share by their declared steps. Unused seconds go to later runs.
 
     Args:
         seconds: for `at_once` runs at the same time.
         at_once: runs at the same time.
-        jobs: all of them. Those that `wait` get a share when they `begin`.
+        jobs: all jobs. A job that waits (`wait`) gets its share when it begins (`begin`).
     """
 
     def __init__(self, seconds: float, at_once: int, jobs: list[SuiteJob]) -> None:
         self._end = monotonic() + seconds
         self._seconds_per_step = seconds * at_once / _steps(jobs)
         self._left = 0.0
-        """Seconds that earlier runs have left."""
+        """Unused seconds of earlier runs."""
         self._waiting: list[SuiteJob] = []
         self._active: dict[SuiteJob, tuple[float, float]] = {}
-        """When each active run is cut (monotonic, s), and the seconds that it has in all."""
+        """Time at which each active run is stopped (monotonic, s), and its seconds in total."""
 
     def wait(self, job: SuiteJob, found: RunFolder | None) -> None:
-        """Let a job wait for its start, unless its run is finished. One that has used up its share is cut."""
+        """Queue a job, unless its run is finished. A job that has used up its share is stopped."""
         state = None if found is None else found.state()
         if found is None or state is None:
             self._waiting.append(job)
@@ -86,8 +86,8 @@ class Budget:
                 job.cut, job.summaries[job.spec.seeds[0]] = _cut_after(job.used), found.summary()
 
     def begin(self, job: SuiteJob) -> None:
-        """A run starts. Its share is that of its steps, and its part of what earlier runs have left."""
-        if job not in self._waiting:  # it starts again, because its process died
+        """A run starts. It gets the share of its steps, and its part of the unused seconds."""
+        if job not in self._waiting:  # it starts again because its process died
             return
         more = self._left * job.spec.training.steps / _steps(self._waiting)
         share = job.spec.training.steps * self._seconds_per_step + more
@@ -96,7 +96,7 @@ class Budget:
         self._active[job] = min(monotonic() + share - job.used, self._end), share
 
     def used_up(self, job: SuiteJob) -> str | None:
-        """Why a run is cut now; None if it is not."""
+        """Why a run must stop now; None if it need not."""
         end, share = self._active.get(job, (math.inf, 0.0))
         return _cut_after(share) if monotonic() > end else None
 
@@ -116,7 +116,7 @@ def _steps(jobs: Iterable[RunJob]) -> int:
 
 
 def too_short(jobs: list[SuiteJob], seconds: float, at_once: int) -> tuple[list[str], str]:
-    """The specs whose shares of a budget end before their first test, as far as one can tell; and a budget for all."""
+    """The specs whose estimated shares of a budget end before their first test, and a budget that is enough for all."""
     total, least = _steps(jobs), dict[str, float]()
     for job in jobs:
         steps = job.spec.training.steps
@@ -127,7 +127,7 @@ def too_short(jobs: list[SuiteJob], seconds: float, at_once: int) -> tuple[list[
 
 
 def fitted(suite: Suite, jobs: int = 1) -> Suite:
-    """The suite without settings of its files that an override's agent cannot use, and without specs that cannot run.
+    """The suite without settings that an override's agent cannot use, and without specs that cannot run.
 
     Raises:
         KarolosError: no spec can run, or one cannot without overrides, either.
@@ -164,7 +164,7 @@ class SuitePlan(Plan):
 
     Args:
         suite: with its specs.
-        overrides: with which it was loaded. They name its folder: another agent has another page.
+        overrides: those with which it was loaded. They are part of its folder's name: another agent gets another page.
         budget: seconds that the specs share by their steps; only the first seed of each is run.
     """
 
@@ -180,7 +180,7 @@ class SuitePlan(Plan):
 
     @override
     def check(self) -> None:
-        """As in `Plan`; what the overrides leave out is told. Raises UsageError for launchers that differ."""
+        """As in `Plan`. Lists settings and specs that overrides leave out. Raises UsageError if launchers differ."""
         self.suite = fitted(self.suite, self.jobs or 1)
         self.spec = self.suite.specs[0]
         for note in self.suite.notes:
@@ -192,7 +192,7 @@ class SuitePlan(Plan):
 
     @override
     def claim(self, stack: ExitStack) -> None:
-        """Let no other process run the seeds that this one runs."""
+        """Claim the seeds, so that no other process runs them."""
         self.found = []
         for spec in self.suite.specs:
             home = self.home.of(spec)
@@ -211,7 +211,7 @@ class SuitePlan(Plan):
         return all(job.finished or job.cut is not None for job in self.found) and not self.suite.refused
 
     def _share(self, seconds: float, at_once: int) -> None:
-        """Let the jobs share a budget. Raises UsageError if no run has begun and none would come to its first test."""
+        """Let the jobs share a budget. Raises UsageError if no run has begun and none would reach its first test."""
         folders = {job: job.home.find(job.spec, job.spec.seeds[0]) for job in self.found}
         late, enough = too_short(self.found, seconds, at_once)
         if late:

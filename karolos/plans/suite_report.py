@@ -1,4 +1,4 @@
-"""The report of a suite: numbers of each spec, alone or with other runs of its name; tables, figures and a page."""
+"""The report of a suite: numbers of each spec, with other runs of its name if given; tables, figures and a page."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ from .suite import SuitePlan
 
 @dataclass(frozen=True)
 class Entry:
-    """What the runs of one spec achieved."""
+    """Results of the runs of one spec."""
 
     spec: Spec
     comparison: Comparison
-    """The other runs, if there are any, and the suite's."""
+    """The other runs, if any, and the suite's."""
     reaching: Reaching | None
-    """When the suite's runs reached .95; None without success."""
+    """When the suite's runs reached a success of .95; None if the environment defines no success."""
     cut: str | None
     """Why its run did not fit into the budget."""
 
@@ -106,10 +106,10 @@ class SuiteReport:
     measures: tuple[str, ...]
     warnings: tuple[str, ...]
     left_out: tuple[str, ...] = ()
-    """Settings and specs that the overrides leave no place for, see `Suite.notes`."""
+    """Settings and specs that the overrides leave out, see `Suite.notes`."""
 
     def rows(self) -> list[dict[str, Any]]:
-        """One JSON object per spec, as `karolos compare` gives it, with the row of the other runs in `beside`."""
+        """One JSON object per spec, as in `karolos compare`, with the row of the other runs under `beside`."""
         return [{"suite": self.name} | entry.row() for entry in self.entries]
 
 
@@ -118,8 +118,8 @@ def suite_report(plan: SuitePlan, beside: Path | None = None) -> SuiteReport:
 
     Args:
         plan: the suite, after its runs.
-        beside: folder of other runs; a spec is compared with those of its name. If there are several experiments of it,
-            the one with the settings that the suite has without overrides is meant.
+        beside: folder of other runs. A spec is compared with the runs of its name. If these belong to several
+            experiments, the one with the suite's settings without overrides counts.
     """
     suite, label = plan.suite, plan.label
     entries, untested, warnings = [], list[str](), defaultdict[str, list[str]](list)
@@ -138,7 +138,7 @@ def suite_report(plan: SuitePlan, beside: Path | None = None) -> SuiteReport:
             if isinstance(others, str):
                 warnings[others].append(spec.name)
             else:
-                # Another plugin is one setting.
+                # another plugin counts as one setting
                 found = differences([{**one, "name": "", "seeds": []} for one in (others[0].spec, spec.dump())])
                 keys = {key.partition(".")[0] if f"{key.partition('.')[0]}.name" in found else key for key in found}
                 if keys:
@@ -163,9 +163,9 @@ def _tested(records: Iterable[RunRecord]) -> tuple[RunRecord, ...]:
 
 
 def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[RunRecord, ...] | str:
-    """The runs of a name in a folder but the suite's own: of the experiment, or of the only one; or why there are none.
+    """The runs of a name in a folder, without the suite's own: of the experiment or of the only one; or why none.
 
-    Of each seed there is one.
+    One run per seed.
     """
     mine = {run.summary.folder for run in own.runs}
     records = [one.record() for one in scan(folder, f"{name}*") if isinstance(one, RunFolder)]
@@ -178,7 +178,7 @@ def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[R
     chosen = one_per_seed([run.summary for run in runs.values()])
     others = tuple(runs[chosen[seed].run] for seed in sorted(chosen))
     steps = max(run.tests[-1].steps for run in own.runs)
-    try:  # a shorter run is compared with what the others had reached then
+    try:  # a shorter run is compared with the others at the same steps
         others = tuple(run if run.tests[-1].steps <= 1.1 * steps else run.at(steps) for run in others)
     except UsageError:
         return f"{folder} has no test near the last one of a run that ended sooner, so nothing stands beside it"
@@ -232,7 +232,7 @@ def _measure(name: str, entry: Entry) -> str:
 
 
 def verdict(report: SuiteReport) -> str:
-    """What the suite says, in a few sentences."""
+    """Summary of the suite, in a few sentences."""
     runs = [run.summary for entry in report.entries for run in entry.runs]
     text = f"{len(runs)} runs took {count(sum(run.steps for run in runs))} environment steps"
     text += f" and {duration(sum(run.total_seconds or run.seconds for run in runs))}, tests included."
@@ -254,7 +254,7 @@ def verdict(report: SuiteReport) -> str:
 
 
 def notes(report: SuiteReport) -> list[str]:
-    """What the numbers mean."""
+    """Explanations of the numbers."""
     lines = ["success and measures are those of the last policy in the final test, or in the last test without one"]
     lines.append("steps and time to .95: median over seeds of the first test with that success; (k of n) reached it")
     scores = [one for entry in report.entries for one in (entry.scores, entry.beside) if one is not None]

@@ -2,7 +2,7 @@
 
 runs/sweeps/<name>/
     sweep.yaml      the resolved spec with its sweep
-    sweep.json      id and what is searched; read by `karolos.records.sweep_records`, as are trials.jsonl and final.json
+    sweep.json      id and searched settings; `karolos.records.sweep_records` reads it, trials.jsonl and final.json
     journal.log     every trial, as Optuna's journal, to resume the sweep
     trials.jsonl    the same, one line per trial, for readers without Optuna
     best.yaml       the best trial as a spec
@@ -10,8 +10,8 @@ runs/sweeps/<name>/
     figures/        of the search
     lock            held by the process of the sweep
 
-In the final phase the best trials are run on new seeds, and the best of these on further ones: hyper-parameters overfit
-the seeds that they were tuned on (Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them").
+In the final phase the best trials run on new seeds, and the best of these on other new seeds: hyper-parameters overfit
+the seeds of their tuning (Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them").
 """
 
 from __future__ import annotations
@@ -62,20 +62,20 @@ LONGEST_NAME = 58
 """Longest name of a sweep, because its trials' runs are named <name>-t0000."""
 PRUNED = "pruned"
 REPORT_SEED_OFFSET = 2_000_000
-"""Distance of the reporting runs' `testing.seed` from the spec's: nothing was tuned or chosen on their tests."""
+"""Distance of the reporting runs' `testing.seed` from the spec's, so that their tests are held out."""
 _FREE_SETTINGS = ("trials", "final")
 """Settings of a sweep that may change between two calls, because they do not change existing trials."""
 
 
 class Search(Plan):
-    """The sweep of a spec. A trial fails if one of its runs fails or its parts are incompatible. Failed trials count.
+    """The sweep of a spec. A trial fails if a run of it fails or its parts do not fit together. Failed trials count.
 
     Args:
         spec: a Spec with a sweep, or a dictionary of the same shape as a spec file.
         trials: number of trials; None: the spec's.
 
     Raises:
-        SpecError: the dictionary is not a valid spec; carries every problem found.
+        SpecError: the dictionary is not a valid spec; lists every problem.
         UsageError: the spec has no sweep, or its name is too long.
     """
 
@@ -117,7 +117,7 @@ class Search(Plan):
     @property
     @override
     def at_once(self) -> int:
-        """Each seed of each trial has a process."""
+        """Number of processes: one per seed of each trial."""
         return (1 if self.jobs is None else self.jobs) * len(self.sweep.seeds)
 
     @override
@@ -128,7 +128,7 @@ class Search(Plan):
 
     @override
     def hear(self, event: RunEvent) -> None:
-        """Pass on warnings alone: how trials end is told by events of the sweep."""
+        """Pass on only warnings: events of the sweep report the ends of trials."""
         if isinstance(event, RunWarned):
             self.listener(event)
 
@@ -169,11 +169,11 @@ class Search(Plan):
                 yield values, trial
 
     def _for_search(self, base: Spec, drawn: Mapping[str, Any], name: str) -> Spec:
-        """A trial's spec without the final test, which says nothing to the search."""
+        """A trial's spec without the final test, which the search does not use."""
         return spec_of_trial(base, drawn, name, self.sweep.seeds, name).having("testing", final_episodes=0)
 
     def _trials(self) -> Iterator[TrialJob]:
-        """The runs of open and of new trials. A trial that cannot work fails at once."""
+        """The jobs of open and new trials. A trial that cannot work fails at once."""
         unfinished = self._study.unfinished()
         while not self.driver.stop.requested:
             if unfinished:
@@ -188,7 +188,7 @@ class Search(Plan):
                 with self.driver.stop.at_once():
                     check_parts(spec)
             except StopRequestedError:
-                return  # the next call of the sweep takes the trial up again
+                return  # the next call of the sweep continues the trial
             except KarolosError as error:
                 trial.end(error=str(error).replace("\n", "; "))
                 self.tell(trial)
@@ -206,11 +206,10 @@ class Search(Plan):
     # The final phase
 
     def _choose(self) -> SweepFinal | None:
-        """Run the best trials on new seeds, choose the best of them, and run it on further seeds and test episodes.
+        """Run the best trials on new seeds, choose the best of them, and run it on other new seeds and test episodes.
 
-        No seed is one of the sweep or of the spec, and no trial has a run on one of the further seeds but its report.
-        Uses finished runs of an earlier call. Returns None if every trial failed on the new seeds, or after a stop
-        request.
+        The new seeds belong neither to the sweep nor to the spec, and the reporting seeds have no other run. Uses
+        finished runs of an earlier call. Returns None if every trial failed on the new seeds, or after a stop request.
         """
         settings, found, stop = self.sweep.final, self._record, self.driver.stop
         assert settings is not None  # the caller sees to it
@@ -239,7 +238,7 @@ class Search(Plan):
     def _values(
         self, trials: Sequence[Trial], spec_of: Callable[[Trial], Spec], seeds: tuple[int, ...]
     ) -> dict[int, tuple[float, ...]]:
-        """Number -> objectives of trials whose specs are run on these seeds; without trials that failed on a seed."""
+        """Run specs of trials on these seeds. Returns number -> objectives, without trials that failed on a seed."""
         jobs = {
             trial.number: RunJob(spec_of(trial).model_copy(update={"seeds": seeds}), self.home, together=True)
             for trial in trials
@@ -250,12 +249,12 @@ class Search(Plan):
 
     @staticmethod
     def _for_report(base: Spec, trial: Trial, name: str, seeds: tuple[int, ...]) -> Spec:
-        """A trial's spec whose tests play other episodes than those it was tuned and chosen on."""
+        """A trial's spec whose tests play held-out episodes, not those of tuning and choice."""
         spec = spec_of_trial(base, trial.drawn, name, seeds, trial.name)
         return spec.having("testing", seed=spec.testing.seed + REPORT_SEED_OFFSET)
 
     def _unused_seeds(self) -> Iterator[int]:
-        """Seeds from 0 that are neither the sweep's nor the spec's."""
+        """The first seeds from 0 that belong neither to the sweep nor to the spec."""
         known = {*self.sweep.seeds, *self.spec.seeds}
         return (seed for seed in count() if seed not in known)
 
@@ -318,10 +317,10 @@ class Search(Plan):
         spec = self._for_report(self.spec, best, best_name(self.name), seeds)
         drawn = ", ".join(f"{key} = {value}" for key, value in best.drawn.items())
         comment = f"# Trial {best.number} of a sweep: {drawn}.\n"
-        phases = [(best.values, "the seeds it was tuned on", self.sweep.seeds)]
+        phases = [(best.values, "the seeds of tuning", self.sweep.seeds)]
         if final is not None:
-            phases.append((final.fresh[best.number], "the seeds it was chosen by", final.seeds))
-            phases.append((final.reported, "seeds used for nothing else", final.report_seeds))
+            phases.append((final.fresh[best.number], "the seeds of the choice", final.seeds))
+            phases.append((final.reported, "held-out seeds", final.report_seeds))
         for place, name in enumerate(self.sweep.objectives):
             for values, which, on in phases:
                 if values is not None:
@@ -378,7 +377,7 @@ class TrialJob(RunJob):
 
 
 def _fingerprint(spec: Spec) -> str:
-    """A hash of the settings that two calls of the same sweep have in common."""
-    assert spec.sweep is not None  # only such a spec has a folder
+    """A hash of the settings that must be equal in two calls of the same sweep."""
+    assert spec.sweep is not None  # only a spec with a sweep has a folder
     search = {key: value for key, value in spec.sweep.model_dump(mode="json").items() if key not in _FREE_SETTINGS}
     return hashlib.sha256(json.dumps([spec.hash(), search], sort_keys=True).encode()).hexdigest()

@@ -116,7 +116,7 @@ def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> 
 
 
 def _arm(arm: Arm) -> dict[str, list[Facts]]:
-    """Where an arm carries its gripper, and where its tool is."""
+    """Place of the gripper on an arm, and of its tool."""
     model, flange = arm.model, arm.model.flange
     frame = _named("x_m y_m z_m roll_rad pitch_rad yaw_rad", (*model.tool, *model.tool_rpy))
     carried: Facts = {"payload_kg": model.payload, "gripper": model.gripper, "tool_speed_m_s": model.tool_speed}
@@ -127,7 +127,7 @@ def _arm(arm: Arm) -> dict[str, list[Facts]]:
 
 
 def _meaning(arm: Arm, field: str) -> str:
-    """What a number of 1 in an action does in a control step of 1/24 s."""
+    """Effect of a number of 1 in an action, in a control step of 1/24 s."""
     settings, what = arm.settings, "set point" if arm.settings.control == "impedance" else "tool"
     return {
         "joint_changes": f"{' '.join(f'{step:.3f}' for step in arm.joint_step)} rad, one for each joint",

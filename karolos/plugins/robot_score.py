@@ -1,36 +1,36 @@
-"""Score of a robot: its success with policies that never saw it, and why the other episodes fail."""
+"""Score of a robot: its success with policies that never saw it, and the causes of failures."""
 
 from __future__ import annotations
 
 import multiprocessing
 from collections import Counter, deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from operator import itemgetter
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
 
-from ..core import FloatArray, SeedTree, Step
+from ..core import FloatArray, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
 from ..errors import KarolosError, UsageError, alternatives
-from ..evaluation.changed_spec import load_player
-from ..evaluation.playing import Moment, play, play_one
-from ..evaluation.policies import Policy
+from ..evaluation.changed_spec import changed_spec
+from ..evaluation.playing import Moment, evaluate, play_one
+from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import test_seeds
+from ..evaluation.zero_shot import final_of, keep, tested_by
 from ..files import write_whole, writing
-from ..records import RunFolder
-from ..records.shipped import FOLDER, shipped_names
+from ..plans.matrix_report import targets_table
+from ..records import RunFolder, scan
+from ..records.run_records import part_name
+from ..records.shipped import FOLDER, is_shipped, shipped_names
 from ..report.page import Section, document
-from ..report.tables import Columns, Table
+from ..report.tables import Columns, Table, count, success
 from ..report.video import write_film
 from ..robots.arm import Arm
-from ..statistics.aggregates import mean, paired_interval
-from ..statistics.intervals import wilson
 from ..system import cores
 
 CAUSES = {
@@ -41,10 +41,10 @@ CAUSES = {
     "unreachable": "actions do not move the tool any more",
     "out of time": "none of these",
 }
-"""Why an episode fails, the first that applies."""
+"""Causes of a failure; the first one that applies counts."""
 AT_LIMIT, STUCK_STEPS, STUCK, WANTED = 0.01, 5, 0.1, 0.5
-"""rad from the end of a range; and control steps, in each of which the tool moves by less than this share of a
-`tool_step` while the action is larger than the last number."""
+"""Distance from the end of a joint's range, rad. Number of control steps; in each the tool moves by less than this
+share of a `tool_step`, while the action is larger than the last number."""
 
 
 @dataclass(frozen=True)
@@ -52,25 +52,25 @@ class PolicyScore:
     """The episodes of one policy on a robot."""
 
     policy: str
-    """The name of the shipped run."""
+    """The folder of its run."""
     task: str
     episodes: int
     success: float | None
-    """Fraction of the episodes whose goal held at the last step; None: the robot and the task do not go together."""
+    """Fraction of the episodes whose goal held at the last step; None: the robot does not fit the task."""
     low: float | None = None
     """Lower end of the 95 % Wilson interval."""
     high: float | None = None
     causes: dict[str, int] = field(default_factory=dict)
     """Failed episodes by cause, see `CAUSES`."""
     refused: str | None = None
-    """Why the robot does not do the task."""
+    """Why the robot does not do the task; nothing keeps it."""
     seconds: float = 0.0
     film: str | None = None
-    """Of the first failure, or of the first episode if none fails."""
+    """Film of the first failure, or of the first episode if none fails."""
 
 
 class Watch:
-    """Looks at an arm during one episode, to say afterwards why it failed."""
+    """Observes an arm during one episode, to find the cause of a failure."""
 
     def __init__(self, environment: RobotTask, policy: Policy) -> None:
         self._environment, self._act = environment, policy.act
@@ -88,7 +88,7 @@ class Watch:
         return action
 
     def see(self, moment: Moment) -> None:
-        """Look after a control step."""
+        """Record the state after a control step."""
         if moment.step == 0:
             self._clear()
             self._place = self._arm.tool_position
@@ -110,7 +110,7 @@ class Watch:
 
     @property
     def cause(self) -> str:
-        """Why the episode, which is over, failed."""
+        """The cause of failure of the finished episode."""
         arm = self._arm
         stuck = all(way < STUCK * arm.tool_step and action > WANTED for way, action in self._ways)
         overloaded = arm.stops > 0 or getattr(self._environment.task, "overloaded", False)
@@ -122,81 +122,141 @@ class Watch:
         return self._environment.robot
 
 
-def policies_of(robot: str) -> list[str]:
-    """Names of the policies that ship, trained on this robot. Raises UsageError if there are none."""
-    found = [name for name in shipped_names() if name.startswith(f"{robot}_")]
+def policies_of(robot: str) -> list[Path]:
+    """Folders of the policies that ship, trained on this robot. Raises UsageError if there are none."""
+    found = [FOLDER / name for name in shipped_names() if name.startswith(f"{robot}_")]
     if not found:
         known = sorted({name.partition("_")[0] for name in shipped_names()})
-        raise UsageError(f"no policy of the robot {robot!r} ships", hint=alternatives(robot, known))
+        raise UsageError(f"there is no shipped policy of the robot {robot!r}", hint=alternatives(robot, known))
     return found
 
 
-def refused(policy: str, episodes: int, error: KarolosError) -> PolicyScore:
+def refused(run: Path, episodes: int, error: KarolosError) -> PolicyScore:
     """The score of a policy on a robot that does not do its task, or that cannot be used at all."""
-    return PolicyScore(policy, policy.partition("_")[2], episodes, None, refused=" ".join(str(error).splitlines()))
+    task = part_name(RunFolder.open(run).spec(), "task") or ""
+    return PolicyScore(run.name, task, episodes, None, refused=" ".join(str(error).splitlines()))
 
 
 def score_policy(
-    name: str, overrides: Sequence[str], episodes: int, film: Path | None = None, size: tuple[int, int] = (320, 240)
+    run: Path,
+    overrides: Sequence[str],
+    episodes: int,
+    film: Path | None = None,
+    runs: Path | None = None,
+    size: tuple[int, int] = (320, 240),
 ) -> PolicyScore:
-    """Play the final test's first episodes of a shipped policy on another robot.
+    """Play the final test's first episodes of a policy on another robot, and keep the result like any test of it.
 
     Args:
-        name: of the shipped run.
+        run: folder of its run.
         overrides: name the robot, as for `changed_spec`.
         episodes: to play.
         film: of the first failure, or of the first episode if none fails: file to write.
+        runs: folder of the run folders, which keeps the tests of policies that ship; None: nothing keeps them.
         size: of the film in pixels.
     """
-    started = perf_counter()
-    folder = RunFolder.open(FOLDER / name)
-    task = name.partition("_")[2]
+    started, folder = perf_counter(), RunFolder.open(run)
+    saved = load_agent(folder, "last" if is_shipped(folder) else "best")
     try:
-        player = load_player(folder, "last", overrides)
+        spec = changed_spec(saved.spec, overrides, trained=saved.signature)
+        environment = environment_of(spec, randomize=True)
     except KarolosError as error:  # the robot and the task do not go together
-        return refused(name, episodes, error)
-    environment, seed = player.environment, player.spec.testing.final_seed
+        return refused(run, episodes, error)
     causes: Counter[str] = Counter()
-    ends, shown = 0, 0
+    failures: list[int] = []
     with used(environment):
         assert isinstance(environment, RobotTask)
         if not isinstance(environment.robot, Arm):
             raise UsageError("it is no arm", setting="robot", hint="`karolos test` tests any robot")
-        watch = Watch(environment, player.policy)
-        for moment in play(environment, watch.policy, episodes=episodes, seed=seed):
+        watch, seed = Watch(environment, saved.policy()), spec.testing.final_seed
+
+        def see(moment: Moment) -> None:
             watch.see(moment)
-            if moment.over and moment.success:
-                ends += 1
-            elif moment.over:
-                shown = shown if causes else moment.episode
+            if moment.over and not moment.success:
+                failures.append(moment.episode)
                 causes[watch.cause] += 1
+
+        result = evaluate(environment, watch.policy, episodes=episodes, seed=seed, heard=see)
         if film is not None:
-            moments = play_one(environment, player.policy, shown, test_seeds(seed, episodes)[shown])
+            shown = (failures or [0])[0]
+            moments = play_one(environment, saved.policy(), shown, test_seeds(seed, episodes)[shown])
             write_film(film, moments, environment, size)
-    low, high = wilson(ends, episodes)
     seconds, ordered = perf_counter() - started, {cause: causes[cause] for cause in CAUSES if causes[cause]}
-    where = film.name if film else None
-    return PolicyScore(name, task, episodes, ends / episodes, low, high, ordered, None, seconds, where)
+    own = final_of(folder, saved, seed, episodes)
+    test = replace(
+        tested_by(saved, result),
+        overrides=tuple(overrides),
+        seed=seed,
+        wall_seconds=seconds,
+        causes=ordered,
+        own=own and own.counts,
+    )
+    keep(folder, test, runs)
+    ends = test.successes_end or 0
+    task, where = spec.task.name if spec.task else "", film.name if film else None
+    low, high = test.interval(ends)
+    return PolicyScore(run.name, task, episodes, ends / episodes, low, high, ordered, None, seconds, where)
 
 
 def score_robot(
-    policies: Sequence[str], overrides: Sequence[str], episodes: int, films: Path | None = None
+    policies: Sequence[Path],
+    overrides: Sequence[str],
+    episodes: int,
+    films: Path | None = None,
+    runs: Path | None = None,
 ) -> Iterator[PolicyScore]:
-    """The scores of a robot with shipped policies, in their order, each in a process of its own.
+    """The scores of a robot with some policies, in their order, each in a process of its own.
 
     Args:
-        policies: names of shipped runs.
+        policies: folders of their runs.
         overrides: name the robot, as for `changed_spec`.
         episodes: of each.
         films: folder for a film of each; None: no films.
+        runs: as for `score_policy`.
     """
     context = multiprocessing.get_context("spawn")  # a fork would share threads of torch
     with ProcessPoolExecutor(min(cores(), len(policies)), mp_context=context) as pool:
         tasks = [
-            pool.submit(score_policy, name, overrides, episodes, films and films / f"{name}.mp4") for name in policies
+            pool.submit(score_policy, run, overrides, episodes, films and films / f"{run.name}.mp4", runs)
+            for run in policies
         ]
         for task in tasks:
             yield task.result()
+
+
+def kept_scores(runs: Path) -> list[dict[str, Any]]:
+    """Tests of policies on other robots that run folders hold, and `runs`/shipped of policies that ship.
+
+    Each is a row of JSON values: policy, robot, gripper, then as `Evaluation.changed_row`.
+    """
+    folders = [one for one in scan(runs) if isinstance(one, RunFolder)]
+    rows = []
+    for folder in (*folders, *(RunFolder(path) for path in sorted((runs / "shipped").glob("*")))):
+        for test in folder.transfers().rows:
+            given = {key: value.strip('"') for key, _, value in (one.partition("=") for one in test.overrides)}
+            robot = Path(given["robot.file"]).stem if "robot.file" in given else given.get("robot.name")
+            if robot is not None:
+                about = {"policy": folder.path.name, "robot": robot, "gripper": given.get("robot.gripper", "null")}
+                rows.append(about | test.changed_row())
+    return sorted(rows, key=lambda row: str(row["time"]))
+
+
+def kept_table(rows: Sequence[dict[str, Any]]) -> Table:
+    """What `kept_scores` found, a row for each test."""
+    columns: Columns[dict[str, Any]] = {
+        "robot": lambda one: one["robot"],
+        "gripper": lambda one: "own" if one["gripper"] == "null" else one["gripper"],
+        "policy": lambda one: one["policy"],
+        "success": lambda one: success(one["success_end"], one["episodes"]),
+        "episodes": lambda one: count(one["episodes"]),
+        "failures": lambda one: _failures(one["causes"]),
+        "when": lambda one: str(one["time"])[:16].replace("T", " "),
+    }
+    return Table.of(rows, columns)
+
+
+def _failures(causes: Mapping[str, int]) -> str:
+    return ", ".join(f"{cause} {number}" for cause, number in causes.items())
 
 
 def scores_table(scores: Sequence[PolicyScore]) -> Table:
@@ -205,40 +265,23 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
         "task": lambda one: one.task,
         "success": lambda one: "-" if one.success is None else f"{one.success:.2f} [{one.low:.2f}, {one.high:.2f}]",
         "episodes": lambda one: "" if one.success is None else str(one.episodes),
-        "failures": lambda one: one.refused or ", ".join(f"{cause} {count}" for cause, count in one.causes.items()),
+        "failures": lambda one: one.refused or _failures(one.causes),
         "seconds": lambda one: f"{one.seconds:.0f}",
     }
     return Table.of(scores, columns)
 
 
 def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
-    """A row for each task. The arm is the unit: mean over arms with its bootstrap interval, least, and who is left out.
+    """A row for each task, over the arms.
 
     Args:
         scores: name and scores of each arm.
     """
-    rows = []
-    for task in dict.fromkeys(one.task for _, of in scores for one in of):
-        found = [(arm, one) for arm, of in scores for one in of if one.task == task]
-        values = sorted((one.success, arm) for arm, one in found if one.success is not None)
-        over = [value for value, _ in values]
-        interval = paired_interval([over], mean, SeedTree(0).generator()) if over else None
-        within = f" [{interval[0]:.2f}, {interval[1]:.2f}]" if interval else ""
-        rows.append(
-            {
-                "task": task,
-                "arms": str(len(over)),
-                "mean": f"{float(np.mean(over)):.3f}{within}" if over else "-",
-                "least": "{:.2f} {}".format(*values[0]) if values else "-",
-                "refused": "; ".join(f"{arm}: {one.refused}" for arm, one in found if one.refused),
-            }
-        )
-    columns: Columns[dict[str, str]] = {key: itemgetter(key) for key in ("task", "arms", "mean", "least", "refused")}
-    return Table.of(rows, columns, "Over arms")
+    return targets_table([(one.task, arm, one.success, one.refused) for arm, of in scores for one in of], "task")
 
 
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
-    """Write the page of a robot's scores; the names of tasks lead to the films beside it. Raises MachineError."""
+    """Write the page of a robot's scores. Names of tasks link to films in the same folder. Raises MachineError."""
     done = [one for one in scores if one.success is not None]
     good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks surely above 90 %, nothing trained"
     table, notes = scores_table(scores), [f"{cause}: {what}" for cause, what in CAUSES.items()]

@@ -1,6 +1,6 @@
 """Starter packages: a small, complete and tested plugin of each kind, to be changed step by step.
 
-A robot or a gripper can be written from somebody's URDF; see `karolos.robots.proposal`.
+A robot or a gripper can be written from a URDF; see `karolos.robots.proposal`.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ def write_starter(
     tool: str | None = None,
     gripper: str | None = None,
 ) -> tuple[list[Path], tuple[str, ...]]:
-    """Write the package `karolos-<name>` into `out`; returns its files, sorted, and what was assumed of the URDF.
+    """Write the package `karolos-<name>` into `out`; returns its files, sorted, and the assumptions about the URDF.
 
     Args:
         kind: one of KINDS.
         name: of the plugin in specs: lower-case letters, digits and underscores.
         out: the package's folder; created if it is missing.
         urdf: a robot's or a gripper's description, instead of the made-up one.
-        tool: the link of its tool frame, if it is not found by its name.
-        gripper: is mounted at the flange of a robot's URDF; by default the URDF's own, if there is one.
+        tool: the link of its tool frame, if its name is unusual.
+        gripper: name of a gripper for the flange of a robot's URDF; by default the URDF's own hand, if any.
 
     Raises:
         UsageError: the kind or the name is invalid, another package has the name, or the folder is not empty or
@@ -60,9 +60,9 @@ def write_starter(
     if urdf is not None and kind not in ("robot", "gripper"):
         raise UsageError(f"a {kind} has no URDF", where="--urdf", hint="leave it out, or write a robot or a gripper")
     if tool is not None and urdf is None:
-        raise UsageError("names a link of a URDF", where="--tool", hint="add --urdf FILE")
+        raise UsageError("is only for a URDF", where="--tool", hint="add --urdf FILE")
     if gripper is not None and (kind != "robot" or urdf is None):
-        raise UsageError("it is mounted on an arm", where="--gripper", hint="write a robot with --urdf FILE")
+        raise UsageError("is only for a robot with a URDF", where="--gripper", hint="write a robot with --urdf FILE")
     contents, notes = _rendered(kind, name, urdf, tool, gripper)
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -88,7 +88,7 @@ def _installed(kind: str) -> list[tuple[str, str]]:
 def _rendered(
     kind: str, name: str, urdf: Path | None, tool: str | None, gripper: str | None
 ) -> tuple[dict[str, str | Path], tuple[str, ...]]:
-    """The package, by paths below its folder: texts, and files that are copied into it; and notes."""
+    """The package, by paths below its folder: texts and files to copy; and notes."""
     values = {
         "kind": kind,
         "name": name,
@@ -96,7 +96,7 @@ def _rendered(
         "class_name": "".join(word.capitalize() for word in name.split("_")),
         "threshold": "0.05",
         "group": DRIVERS if kind == "driver" else f"karolos.{kind}s",
-        "needs": "" if kind == "driver" else '"karolos"',  # a robot's computer has karolos-deploy alone
+        "needs": "" if kind == "driver" else '"karolos"',  # a robot's computer has only karolos-deploy
     }
     folder, package = files("karolos.plugins") / "starters", f"src/karolos_{name}"
     templates = {

@@ -19,7 +19,7 @@ class Distribution(ABC):
     Settings: ClassVar[type[BaseModel]]
 
     listed: tuple[float, ...] = ()
-    """Values that the settings name one by one: each must lie in the parameter's range."""
+    """Values that the settings list: each must lie in the parameter's range."""
 
     def __init__(self, settings: Any) -> None:
         self.settings = settings
@@ -64,7 +64,7 @@ class Normal(Distribution):
 
     class Settings(BaseSettings):
         mean: float = Setting(description="in the parameter's unit")
-        std: float = Setting(ge=0, description="standard deviation, in the parameter's unit")
+        std: float = Setting(ge=0, description="standard deviation in the parameter's unit")
 
     def draw(self, generator: Generator) -> float:
         return float(generator.normal(self.settings.mean, self.settings.std))

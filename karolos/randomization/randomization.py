@@ -1,4 +1,4 @@
-"""Domain randomization: draws the values that robot and task then apply."""
+"""Domain randomization: samples the values that robot and task then apply."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class RandomizedParameter:
 
     unit: str
     nominal: float
-    """Its value without randomization."""
+    """Value without randomization."""
     low: float
     high: float
     """Values outside [low, high] are never applied."""
@@ -35,15 +35,15 @@ class RandomizedParameter:
         return f"allowed is {self.low:g} to {self.quantity(self.high)}"
 
     def quantity(self, value: float) -> str:
-        """The value with its unit, for a message; a pure number has none."""
+        """The value with its unit, for a message. A pure number has no unit."""
         return f"{value:g}" if self.unit == "1" else f"{value:g} {self.unit}"
 
 
 @dataclass(frozen=True)
 class Drawn:
-    """Marks a setting that is a parameter of randomization, too: `Annotated[float, Drawn("m", 0.0, 0.5)]`.
+    """Marks a setting that is also a parameter of randomization: `Annotated[float, Drawn("m", 0.0, 0.5)]`.
 
-    Training episodes may draw it, tests never do. The range is widened to the setting's own value.
+    Training episodes may sample it, tests never do. The range is widened to the setting's own value.
     """
 
     unit: str = "1"
@@ -52,7 +52,7 @@ class Drawn:
 
 
 Probability = Annotated[float, Drawn(), Setting(ge=0, le=1)]
-"""A setting in [0, 1] that randomization may draw."""
+"""A setting in [0, 1] that randomization may sample."""
 
 
 def drawn_settings(settings: BaseModel) -> dict[str, RandomizedParameter]:
@@ -99,7 +99,7 @@ class Randomization:
         self._drawn = tuple((name, distributions[name], declared[name]) for name in sorted(distributions))
         self.layout = Layout(tuple(Field(name, 1, parameter.unit) for name, _, parameter in self._drawn))
         """The parameters in the order of the values that `draw` returns."""
-        self.draw(np.random.Generator(np.random.PCG64(0)))  # to refuse a distribution before a run begins
+        self.draw(np.random.Generator(np.random.PCG64(0)))  # refuses a bad distribution before a run begins
 
     def draw(self, generator: Generator) -> list[float]:
         """A value for each parameter. Raises RunError when a distribution keeps missing the allowed range."""

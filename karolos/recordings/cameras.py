@@ -1,4 +1,4 @@
-"""Films of recorded episodes: each environment writes those of its episodes while it steps, picture by picture."""
+"""Films of recorded episodes. Each environment writes the films of its episodes while it steps."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ from ..specification.parts import Recipe
 from .playing import WithExpert, build_with_expert
 
 CAMERAS = ("front", "wrist")
-"""front: where films of the task are taken from. wrist: behind and above the tool; it moves with the tool and does not
-turn with it."""
+"""front: the camera of the task's films. wrist: behind and above the tool; it moves with the tool, without turning."""
 WRIST = Camera(distance=0.3, yaw=-90.0, pitch=-55.0, field_of_view=60.0)
-"""Its target is the tool."""
+"""The target is the tool."""
 
 
 class Filmed(Environment):
@@ -104,9 +103,9 @@ def _film(path: Path, size: tuple[int, int], rate: int) -> Iterator[None]:
 
 
 def poses(recipe: Recipe, names: tuple[str, ...], size: tuple[int, int]) -> dict[str, dict[str, Any]]:
-    """What a description says of each camera: size in pixels, lengths in m, angles in degrees.
+    """Description of each camera: size in pixels, lengths in m, angles in degrees.
 
-    Raises UsageError for a name that is none of CAMERAS.
+    Raises UsageError for a name that is not in CAMERAS.
     """
     with closing(build_environment(recipe)) as environment:
         front = environment.camera if isinstance(environment, RobotTask) else Camera()

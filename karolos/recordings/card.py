@@ -1,4 +1,4 @@
-"""README.md of a dataset: what it holds, how good it is, and where it comes from."""
+"""README.md of a dataset: its content, success and origin."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from .recording import Played, column_names
 
 
 def outcome(played: Sequence[Played]) -> dict[str, Any]:
-    """How many episodes were played, kept and successful."""
+    """Number of episodes that were played, kept and successful."""
     successes = sum(one.success for one in played)
     low, high = wilson(successes, len(played))
     means = {}

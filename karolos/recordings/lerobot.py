@@ -1,7 +1,7 @@
-"""LeRobotDataset v3, written and read with pyarrow alone: https://huggingface.co/docs/lerobot/lerobot-dataset-v3.
+"""LeRobotDataset v3, written and read only with pyarrow: https://huggingface.co/docs/lerobot/lerobot-dataset-v3.
 
-The last state of an episode, which the format has no frame for, stands in columns `final/...` of meta/episodes. What
-the numbers mean, and the true rate where it is no whole number, stand under the key `karolos` of meta/info.json.
+The format has no frame for the last state of an episode: it stands in columns `final/...` of meta/episodes. The key
+`karolos` of meta/info.json holds the meaning of the numbers, and the exact rate if it is not a whole number.
 """
 
 from __future__ import annotations
@@ -33,12 +33,12 @@ NAMES = {
     "reward": "next.reward",
     "terminated": "next.terminated",
 }
-"""The goal is called as LeRobot's policies expect it, so that they see it."""
+"""Name of the goal that LeRobot's policies expect."""
 FLAGS = ("next.done", "next.truncated", "next.terminated", "next.success")
 COUNTED = ("timestamp", "frame_index", "episode_index", "index", "task_index")
 QUANTILES = {"q01": 0.01, "q10": 0.1, "q50": 0.5, "q90": 0.9, "q99": 0.99}
 MOST_FRAMES = 100_000_000
-"""Of a dataset that is read: more are taken for a damaged file."""
+"""Largest number in a dataset that is read; a larger number means a damaged file."""
 
 
 def features(about: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
@@ -63,7 +63,7 @@ def features(about: Mapping[str, Any]) -> dict[str, dict[str, Any]]:
 
 
 def whole_rate(rate: float) -> int:
-    """Frames per second, which LeRobot wants whole."""
+    """Frames per second, rounded: LeRobot needs a whole number."""
     return max(1, round(rate))
 
 
@@ -74,13 +74,13 @@ def write_lerobot(
     task: str,
     films: Path | None = None,
 ) -> None:
-    """Write a dataset; what an interrupted call left there is replaced.
+    """Write a dataset. Files of an interrupted call are replaced.
 
     Args:
         path: of the dataset's folder.
-        about: what the numbers mean, see `recording.describe`; `cameras` has the size of each film's pictures.
-        recordings: in their order; one is in memory at a time.
-        task: what the robot does, in words.
+        about: meaning of the numbers, see `recording.describe`; `cameras` has the size of each film's pictures.
+        recordings: in order; one is in memory at a time.
+        task: the robot's task in words.
         films: folder with SEED-CAMERA.mp4 of each episode, which are copied into the dataset.
 
     Raises:
@@ -165,7 +165,7 @@ def write_lerobot(
 
 
 def _frames(recording: Recording, episode: int, before: int, fps: int) -> Columns:
-    """The frames of an episode by the names of LeRobot: (n, k), or (n,) for what has one number."""
+    """The frames of an episode by LeRobot's names: (n, k), or (n,) for single numbers."""
     steps = recording.steps
     count = np.arange(steps, dtype=np.int64)
     parts = {NAMES[part]: getattr(recording, part)[:steps] for part in (*STATES, "action")}
@@ -200,7 +200,7 @@ def _statistics(column: NDArray[Any]) -> dict[str, list[Any]]:
 
 
 def _together(episodes: list[dict[str, Any]]) -> dict[str, dict[str, Any]]:
-    """stats.json: the statistics of all frames; quantiles are means over the episodes, as LeRobot's are."""
+    """stats.json: the statistics of all frames. Quantiles are means over the episodes, as in LeRobot."""
     found = {}
     for name in sorted({key.split("/")[1] for row in episodes for key in row if key.startswith("stats/")}):
         of = {kind: np.array([row[f"stats/{name}/{kind}"] for row in episodes]) for kind in ("count", *_KINDS)}
@@ -229,7 +229,7 @@ def _tasks(task: str) -> Any:
 
 
 def read_lerobot(path: Path) -> Dataset:
-    """A dataset that anybody wrote.
+    """A dataset of any origin.
 
     Raises:
         UsageError: it is damaged or of another version; names the file, the episode and the column.
@@ -291,7 +291,7 @@ def _table(file: Path) -> Any:
 
 
 def _episode(table: Any, file: Path, row: Mapping[str, Any], known: Mapping[str, Any], rate: float) -> Columns:
-    """The columns of one episode. Raises UsageError for one that is missing, or not as the features say."""
+    """The columns of one episode. Raises UsageError for a missing column, or one that contradicts the features."""
     import pyarrow as pa  # noqa: PLC0415
     import pyarrow.compute as pc  # noqa: PLC0415
 

@@ -17,7 +17,7 @@ from .source import Columns, Dataset, refuse, require, rows_of
 
 NAMES = {name: name for name in (*STATES, "action", "reward", "terminated")}
 FOLDER = "MINARI_DATASETS_PATH"
-"""The variable with the folder in which minari looks for datasets."""
+"""Environment variable with the folder of minari's datasets."""
 
 
 def write_minari(path: Path, about: Mapping[str, Any], recordings: Iterable[Recording], name: str) -> None:

@@ -1,4 +1,4 @@
-"""Plays episodes for a recording: of a policy or of the task's expert, in many environments at the same time."""
+"""Plays episodes of a policy or of the task's expert for a recording, in many environments at the same time."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ from ..specification.parts import Recipe
 from .recording import Played, Recording, RecordingFolder
 
 EXPERT = Field("expert_action", 0)
-"""The field of observations in which `WithExpert` tells the expert's next action; its size is that of actions."""
+"""The field of observations in which `WithExpert` gives the expert's next action. It has the size of an action."""
 MOST_PLAYED = 100
-"""At most this many episodes are played for each that is wanted: a policy that never succeeds must come to an end."""
+"""Largest number of played episodes per wanted episode, so that recording a policy that never succeeds ends."""
 Act = Callable[[Step], FloatArray]
 """The action (a,) after a step."""
 
 
 class WithExpert(Environment):
-    """An environment whose observations end with what the task's expert would do next.
+    """An environment whose observations end with the next action of the task's expert.
 
-    So experts play wherever environments are: in other processes, too. Raises UsageError if there is no expert.
+    Experts can therefore play in other processes, too. Raises UsageError if there is no expert.
     """
 
     def __init__(self, environment: Environment) -> None:
@@ -68,7 +68,7 @@ def build_with_expert(recipe: Recipe) -> WithExpert:
 
 
 def expert_act(signature: Signature) -> Act:
-    """The policy that does what observations of `WithExpert` tell."""
+    """The policy that takes the action in the observations of `WithExpert`."""
     size = signature.action.size
     return lambda step: step.observation[-size:]
 
@@ -77,9 +77,9 @@ def expert_act(signature: Signature) -> Act:
 class Recorder:
     """Plays episodes until `episodes` are kept, and writes each into the folder.
 
-    Episode k has the k-th seed. Episodes are written in the order of their seeds, whichever ends first, so that short
-    ones are not favoured. A row's action does not depend on other rows, and therefore neither on the number of
-    environments nor on an interruption.
+    Episode k has the k-th seed. Episodes are written in the order of their seeds, not of their ends, so that short
+    episodes are not favoured. A row's action does not depend on other rows. Therefore neither the number of
+    environments nor an interruption changes it.
 
     Args:
         environments: play the episodes.
@@ -89,7 +89,7 @@ class Recorder:
         episodes: to be kept.
         only_success: keep only episodes whose goal is reached at the last step.
         noise: standard deviation of Gaussian noise on continuous actions.
-        random: probability of a uniformly random action instead.
+        random: probability that an action is uniformly random.
         hidden: columns at the end of observations that are not recorded.
         on_episode: is called after each episode with the number of kept ones.
     """
@@ -105,11 +105,11 @@ class Recorder:
     hidden: int = 0
     on_episode: Callable[[int], object] = lambda _: None
     _steps: dict[int, list[Step]] = field(default_factory=dict, init=False)
-    """Of the running episode of each environment; the reset's first."""
+    """Steps of the running episode of each environment, beginning with its reset."""
     _actions: dict[int, list[FloatArray]] = field(default_factory=dict, init=False)
 
     def run(self) -> list[Played]:
-        """Play until enough episodes are kept; returns all that were played, in order.
+        """Play until enough episodes are kept. Returns all played episodes, in order.
 
         Raises:
             RunError: hardly any episode can be kept.

@@ -1,4 +1,4 @@
-"""From a dataset of any format to demonstrations of an environment: columns mapped, checked, and judged by the task."""
+"""Turns a dataset of any format into demonstrations of an environment: maps, checks and judges its columns."""
 
 from __future__ import annotations
 
@@ -30,26 +30,26 @@ UNITS = {
 }
 """Units that are converted: unit -> SI unit, and factor."""
 SI = "SI"
-"""Said of a column: all its numbers have the units that the environment has."""
+"""Unit of a column that says: all its numbers have the units of the environment."""
 LARGEST_ANGLE = 4 * pi
-"""Of joints and orientations, in rad: larger ones are taken for degrees."""
+"""Largest plausible value of joints and orientations in rad. Larger values are probably degrees."""
 TOLERANCE = 1e-4
-"""How far a recorded reward may be from the task's rule. Sums of float32 in another order differ by 1e-6."""
+"""Largest difference between a recorded reward and the task's rule. Sums of float32 in another order differ by 1e-6."""
 EXPRESSION = re.compile(r"(?P<name>[^\s\[]+)(?:\[(?P<first>\d+):(?P<end>\d+)\])?(?: +(?P<unit>\S+))?")
 """NAME, NAME[first:end], either followed by a unit."""
 
 
 @dataclass(frozen=True)
 class Read:
-    """The episodes of a dataset, as an environment would have given them."""
+    """The episodes of a dataset in the form of an environment's episodes."""
 
     episodes: tuple[Transitions, ...]
     successes: int
-    """Episodes whose goal holds at the last step, by the task's rule."""
+    """Number of episodes whose goal holds at the last step, by the task's rule."""
 
 
 def open_source(path: Path) -> Dataset:
-    """The dataset in a folder, of whichever format. Raises UsageError if it is none."""
+    """The dataset in a folder, in any known format. Raises UsageError if the folder is not a dataset."""
     if (path / "meta/info.json").is_file():
         return read_lerobot(path)
     if (path / "data/metadata.json").is_file():
@@ -94,8 +94,8 @@ def read_recordings(
     """The first episodes of a dataset, as demonstrations.
 
     Rewards, success and termination follow from the task's goal rule. A part of the reward that does not depend on the
-    goal is taken from a dataset of karolos, and is 0 in others. An episode that does not say its last state ends one
-    step earlier.
+    goal is read from a dataset of karolos, and is 0 in others. An episode without its last state ends one step
+    earlier.
 
     Args:
         path: folder of the dataset.
@@ -103,7 +103,7 @@ def read_recordings(
         columns: where a field of observations, `observation`, `achieved_goal`, `desired_goal` or `action` stands in the
             dataset: see EXPRESSION. What is not named has the format's usual name.
         count: episodes; all if there are fewer.
-        on_episode: is called before each episode with the number of those that are read.
+        on_episode: is called before each episode with the number of episodes read so far.
 
     Raises:
         UsageError: something does not fit; names the file, the episode and the column.
@@ -128,7 +128,7 @@ def read_recordings(
 
 @dataclass(frozen=True)
 class _Mapping:
-    """From the columns of a dataset to the arrays of an environment."""
+    """Maps the columns of a dataset to the arrays of an environment."""
 
     source: Dataset
     facts: Facts
@@ -139,7 +139,7 @@ class _Mapping:
         return self.facts.signature
 
     def check(self) -> None:
-        """Raise a UsageError if the dataset means something else than the environment, or acts at another rate."""
+        """Raise a UsageError if the dataset's numbers mean something else in the environment, or its rate differs."""
         path, about = self.source.path, self.source.about
         known = {"observation", "achieved_goal", "desired_goal", "action", *self.signature.observation.names}
         if unknown := sorted(set(self.columns) - known):
@@ -160,7 +160,7 @@ class _Mapping:
 
     def part(self, name: str, layout: Layout | Discrete, found: Columns, episode: str) -> FloatArray | None:
         """The array of observation, achieved_goal, desired_goal or action; None if the dataset does not have it."""
-        # The format's usual names count in a dataset that karolos wrote, and for actions.
+        # The format's usual names are used for a dataset of karolos, and for actions.
         whole, usual = self.columns.get(name), self.source.names[name]
         if whole is None and usual in found and (self.source.about or name == "action"):
             whole = f"{usual} {SI}"
@@ -184,7 +184,11 @@ class _Mapping:
         setting = f"demonstrations.columns.{name}"
         parsed = EXPRESSION.fullmatch(expression)
         if parsed is None:
-            raise UsageError(f"{expression!r} names no column", setting=setting, hint="NAME or NAME[0:3], and a unit")
+            raise UsageError(
+                f"{expression!r} is not a column of the recording",
+                setting=setting,
+                hint="write NAME or NAME[0:3], then a unit",
+            )
         column, unit = parsed["name"], parsed["unit"]
         if column not in found:
             refuse(self.source.path, f"{episode} has no column {column!r}", f"it has {_list(found)}")
@@ -216,7 +220,9 @@ class _Mapping:
         if given in (unit, SI) or (given is None and unit == "1"):
             return 1.0
         if given is None:
-            raise UsageError(f"the unit is not said, and here it is {unit}", setting=setting, hint="e.g. NAME[0:3] mm")
+            raise UsageError(
+                f"the unit is missing; the environment uses {unit}", setting=setting, hint="e.g. NAME[0:3] mm"
+            )
         known, factor = UNITS.get(given, (None, 1.0))
         if known != unit:
             raise UsageError(f"{given} cannot be converted to {unit}", setting=setting, hint=f"one of {_list(UNITS)}")
@@ -290,7 +296,7 @@ def _judged(
     low, high = signature.extra_reward
     if source.about is not None and recorded is not None:
         own = np.asarray(recorded[:steps, 0], np.float32)
-        fits = (own >= reward + low - TOLERANCE) & (own <= reward + high + TOLERANCE)  # nan does not
+        fits = (own >= reward + low - TOLERANCE) & (own <= reward + high + TOLERANCE)  # nan is not
         if not fits.all():
             row = int(np.argmin(fits))
             what = f"{episode}, row {row}: the reward is {own[row]:.4g}, by the task's rule {reward[row]:.4g}"
@@ -301,7 +307,7 @@ def _judged(
 
 
 def _observed(signature: Signature, observation: FloatArray) -> FloatArray | None:
-    """What is achieved, where observations have all of it by the same names."""
+    """The achieved goal, taken from the observations if they have all its fields by the same names."""
     layout = signature.observation
     sizes = {one.name: one.size for one in layout.fields}
     fields = signature.achieved_goal.fields

@@ -1,8 +1,8 @@
-"""A recorded episode, what its numbers mean, and our own format: a folder that grows episode by episode.
+"""A recorded episode, the meaning of its numbers, and our own format: a folder that grows episode by episode.
 
-recording.json   what the numbers mean, see `describe`
-episodes.jsonl   one line per episode that was played: index, seed, steps, success, and whether it was kept
-episodes/        one .npz per episode that was kept
+recording.json   meaning of the numbers, see `describe`
+episodes.jsonl   one line per played episode: index, seed, steps, success, and whether it was kept
+episodes/        one .npz per kept episode
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ..files import append_lines, read_lines, read_object, write_json, writing
 FORMAT = 1
 DESCRIPTION, EPISODES, FILES = "recording.json", "episodes.jsonl", "episodes"
 STATES = ("observation", "achieved_goal", "desired_goal")
-"""Arrays of an episode of n steps that have n + 1 rows: the first is that of the reset."""
+"""Arrays of an episode of n steps with n + 1 rows; the first row is that of the reset."""
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class Recording:
     success: BoolArray
     """(n + 1,)"""
     seed: int = 0
-    """Of the environment's reset."""
+    """Seed of the environment's reset."""
 
     @property
     def steps(self) -> int:
@@ -54,21 +54,21 @@ class Recording:
 
 @dataclass(frozen=True)
 class Played:
-    """The outcome of one episode that was played for a recording."""
+    """The outcome of one played episode of a recording."""
 
     index: int
     seed: int
     steps: int
     success: bool
-    """At the last step."""
+    """Success at the last step."""
     kept: bool
     diverged: bool = False
     measures: Mapping[str, float] = field(default_factory=dict)
-    """By name, those that are defined."""
+    """Measures by name, without undefined ones."""
 
 
 def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
-    """What the numbers of a recording mean, as JSON-able data; `about` says where it comes from."""
+    """Meaning of the numbers of a recording, as JSON-able data; `about` says its origin."""
     signature = facts.signature
     action = signature.action
     return {
@@ -86,7 +86,7 @@ def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def facts_of(about: Mapping[str, Any]) -> Facts:
-    """What a description says of the environment. Raises KeyError, TypeError or ValueError if it is damaged."""
+    """The environment's facts in a description. Raises KeyError, TypeError or ValueError if it is damaged."""
     action = about["action"]
     signature = Signature(
         observation=_layout(about["observation"]),

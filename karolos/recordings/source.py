@@ -1,4 +1,4 @@
-"""What every format gives: a recorded dataset as named columns, episode by episode."""
+"""The common form of all formats: a recorded dataset as named columns, episode by episode."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..errors import MachineError, UsageError
 
 SETTING = "demonstrations.file"
 Columns = dict[str, NDArray[Any]]
-"""Of one episode of n steps, by name: (n, k), or (n + 1, k) where the last state is recorded, too."""
+"""Columns of one episode of n steps, by name: (n, k), or (n + 1, k) if the last state is recorded, too."""
 
 
 @dataclass(frozen=True)
@@ -27,11 +27,11 @@ class Dataset:
     rate: float
     """Steps per second; 0 if the format does not say."""
     names: Mapping[str, str]
-    """The columns that the format has for observation, achieved_goal, desired_goal, action and reward."""
+    """The format's columns for observation, achieved_goal, desired_goal, action and reward."""
     read: Callable[[int], Columns]
-    """Gives the columns of an episode, by its place."""
+    """Function from an episode's number to its columns."""
     about: dict[str, Any] | None = None
-    """What karolos says of a dataset that it wrote, see `recording.describe`."""
+    """Description in a dataset that karolos wrote, see `recording.describe`."""
 
 
 def refuse(path: Path, what: str, hint: str | None = None) -> NoReturn:
@@ -53,5 +53,5 @@ def rows_of(values: Any) -> NDArray[Any]:
     """Numbers of an episode as (n, k). Raises ValueError or TypeError for anything else."""
     array = np.asarray(values)
     if array.dtype.kind not in "fiub":
-        raise TypeError(f"it holds {array.dtype}, no numbers")
+        raise TypeError(f"it holds {array.dtype}, not numbers")
     return array.reshape(len(array), -1)

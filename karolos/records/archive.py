@@ -1,7 +1,7 @@
 """Archives of run folders (.tar.gz): export and import. An imported archive is not trusted.
 
-An archive holds the files that a run has and no others, with *** in place of secrets. Its last member, SHA256SUMS,
-lists them as `sha256sum` does.
+An archive holds only the files of runs, with *** in place of secrets. Its last member, SHA256SUMS, lists them as
+`sha256sum` does.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from .run_records import ID, RunRecord
 SUFFIX = ".tar.gz"
 SUMS = "SHA256SUMS"
 _GZIP = b"\x1f\x8b"
-"""How every gzipped file begins."""
+"""Beginning of every gzipped file."""
 _MOST_LISTED = 1 << 28
-"""Bytes of the list."""
+"""Largest size of the list in bytes."""
 _MOST_AT_ONCE = 1 << 20
-"""Bytes that are read at once. Only a header of that size needs more: tarfile reads headers whole."""
+"""Bytes that are read at once. Only a larger header needs more, because tarfile reads headers whole."""
 MOST_FILES = 1_000_000
 MOST_BYTES = 64 << 30
 """Default limit of an archive's unpacked size."""
@@ -54,18 +54,18 @@ _FILE = re.compile(
 )
 """A file that a run has, by its path below the run's folder."""
 _OF_PROCESSES = re.compile(r"(?:.*\.)?lock|\..*\.tmp|launch\.json|progress\.json|stop|slurm\.job")
-"""Names of files between a run's process and others. They are not told as left out."""
+"""Names of files for communication between processes. They are left out without a message."""
 _TOLD = re.compile(r"(?:run|resolved|state)\.json|(?:events|transfers)\.jsonl")
-"""Files that hold what was said, in JSON."""
+"""Files with messages, in JSON."""
 _MEMBER = re.compile(rf"({ID.pattern})/(?:{_FILE.pattern})")
 
 
 class ExportedRuns(NamedTuple):
-    """What is in an archive."""
+    """Content of an archive."""
 
     files: int
     left_out: tuple[str, ...]
-    """Files in the run folders that no run has, as run/path."""
+    """Foreign files in the run folders, as run/path."""
 
 
 def export_runs(
@@ -74,7 +74,7 @@ def export_runs(
     """Write run folders into a new archive.
 
     Args:
-        folders: none of which a process is running.
+        folders: run folders that no process is running.
         target: ends in SUFFIX and does not exist.
         checkpoints: include them, which can be large.
         source: include code.diff, commands, names of untracked files, tracebacks and the folders of absolute paths.
@@ -114,7 +114,7 @@ def export_runs(
 
 
 def _shared(folder: RunFolder, name: str, source: bool) -> bytes | None:
-    """What an archive holds of a file; None to leave it out."""
+    """The content of a file for an archive; None to leave it out."""
     data = (folder.path / name).read_bytes()
     if name in ("code.diff", "spec.yaml"):
         text = redact(data.decode(errors="replace"))
@@ -126,7 +126,7 @@ def _shared(folder: RunFolder, name: str, source: bool) -> bytes | None:
 
 
 def _told(folder: RunFolder, name: str, line: bytes, source: bool) -> bytes:
-    """A JSON object as an archive holds it; a line that is none stays."""
+    """A JSON object in the form of an archive. An invalid line stays as it is."""
     if (old := parse_object(line)) is None:
         return line
     new = recorded(old, folders=source)
@@ -169,7 +169,7 @@ def import_runs(
         source: from `export_runs`.
         runs: the runs folder; created if it does not exist.
         most_bytes: limit of the unpacked size.
-        enter: enters the runs into the index. After an error of it their folders are removed again.
+        enter: enters the runs into the index. If it raises an error, their folders are removed again.
 
     Returns:
         The runs, with one line per damaged file.
@@ -212,7 +212,7 @@ def import_runs(
 
 
 def remove_unfinished_imports(runs: Path) -> None:
-    """Remove what killed imports into this runs folder have unpacked."""
+    """Remove files that killed imports have unpacked into this runs folder."""
     for place in runs.glob(f"{UNFINISHED_IMPORT}*"):
         lock = FileLock(place / ".lock")
         if lock.path.exists() and not lock.is_locked():
@@ -220,7 +220,7 @@ def remove_unfinished_imports(runs: Path) -> None:
 
 
 def _examine(path: Path, source: Path) -> None:
-    """Refuse a folder that is not that of the run whose name it has."""
+    """Refuse a folder whose name is not the id of its run."""
     try:
         folder = RunFolder.open(path)
     except RunError as error:
@@ -237,7 +237,7 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
         raise UsageError(f"the archive cannot be opened ({error.strerror})", where=str(source)) from error
     with file, writing(place):
         if not _GZIP.startswith(file.peek(2)[:2]):
-            raise _refused(source, "is no archive of runs", "`karolos runs export` makes archives")
+            raise _refused(source, "is not an archive of runs", "`karolos runs export` makes archives")
         try:
             with _Stream(fileobj=file) as stream, tarfile.open(fileobj=stream, mode="r:") as tar:
                 found, listed = _extract(tar, place, source, most_bytes)
@@ -247,12 +247,12 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
             reason = str(error).splitlines()[0] if str(error) else type(error).__name__
             raise _refused(source, f"the archive cannot be read ({reason})", _AGAIN) from error
     if len(rest) == 2 * tarfile.RECORDSIZE or rest.strip(b"\0"):
-        raise _refused(source, "something follows its last member", _AGAIN)
+        raise _refused(source, "there are data after its last member", _AGAIN)
     if found != listed:
         names = sorted(name for name in {*found, *listed} if found.get(name) != listed.get(name))
         raise _refused(source, f"{names[0]!r} is not what {SUMS} says", _AGAIN)
     if not found:
-        raise _refused(source, "there is no run in it", "`karolos runs export` makes archives")
+        raise _refused(source, "it contains no run", "`karolos runs export` makes archives")
     return list(dict.fromkeys(name.partition("/")[0] for name in found))
 
 
@@ -267,7 +267,7 @@ class _Stream(gzip.GzipFile):
 
 
 def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -> tuple[dict[str, str], dict[str, str]]:
-    """Write the members of an archive below `place`: plain files that runs have, not too many or too large.
+    """Write the members of an archive below `place`: plain files of runs, within limits of number and size.
 
     Returns:
         The sha256 of each file by its name, and what the archive's list says.

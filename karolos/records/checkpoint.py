@@ -4,8 +4,8 @@
     <name>/manifest.json    format, meta, size and sha256 of each file, array files, sha256 of itself; written last
     .arrays/                large arrays in files of 1 MiB that are named by their content and shared by checkpoints
 
-A new checkpoint is written into another folder and takes the place of the old one by renaming. If the process is
-killed between the two renames, `load` finds the old one in `.<name>.previous`.
+A new checkpoint is written into another folder and then replaces the old one by renaming. If the process is killed
+between the two renames, `load` finds the old one in `.<name>.previous`.
 
 Torch's safe reader knows only tensors, containers and plain values. Therefore a numpy array is stored as a tensor of
 its bytes with dtype and shape, and an integer of more than 64 bits as hexadecimal text; both are dictionaries with the
@@ -43,12 +43,12 @@ FORMAT = 1
 PART = re.compile(r"[a-z][a-z0-9_]{0,31}")
 """Names of checkpoints and of their parts."""
 LARGE = 1 << 18
-"""Bytes from which an array is stored in array files."""
+"""Smallest array that is stored in array files, in bytes."""
 SIZE = 1 << 20
-"""Bytes of a file; the last one of an array is shorter."""
+"""Bytes of an array file; the last file of an array is shorter."""
 _ARRAY_NAME = re.compile(r"[0-9a-f]{64}")
 _SOUND: set[Path] = set()
-"""Files that this process has written or compared, and need not read again."""
+"""Files that this process has written or compared, so that it need not read them again."""
 _MANIFEST, _ARRAYS = "manifest.json", ".arrays"
 _MANIFEST_BYTES = 1 << 24
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
@@ -82,7 +82,7 @@ class ArrayFiles:
         return names
 
     def sync(self) -> None:
-        """Make the names survive a power cut; called once after all files of a checkpoint are written."""
+        """Flush the names to disk, so that they survive a power cut. Called once, after all files of a checkpoint."""
         if self.folder.is_dir():
             system.sync_folder(self.folder)
 
@@ -169,7 +169,7 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
             arrays.sync()
             content = {"format": FORMAT, "meta": dict(meta), "files": files, "array_files": sorted(arrays.used)}
             write_json(fresh / _MANIFEST, content | {"sha256": seal(content)})
-        except BaseException:  # also after an interrupt nothing is left behind
+        except BaseException:  # nothing is left behind after an interrupt, either
             system.remove_tree(fresh, ignore_errors=True)
             with suppress(OSError):
                 _remove_unused(folder)
@@ -203,7 +203,7 @@ def load(folder: Path, name: str, only: Collection[str] | None = None) -> tuple[
 def load_part(folder: Path, name: str, part: str) -> tuple[State, dict[str, Any], str]:
     """Read one part of a checkpoint: the part, the checkpoint's meta, and the part's sha256 as `digest` gives it.
 
-    All three are of the same checkpoint, also where the run replaces it meanwhile. Raises as `load` does.
+    All three belong to the same checkpoint, even if the run replaces it during the call. Raises as `load` does.
     """
     parts, manifest = _load(folder, name, (part,))
     return parts[part], manifest["meta"], manifest["files"][part]["sha256"]
@@ -230,7 +230,7 @@ def digest(folder: Path, name: str, part: str) -> str:
 
 
 def names(folder: Path) -> tuple[str, ...]:
-    """Names of the checkpoints in a folder that `load` would try."""
+    """Names of the checkpoints in a folder, complete or damaged."""
     if not os.path.isdir(folder):
         return ()
     found = {_PREVIOUS.sub(r"\1", path.name) for path in folder.iterdir() if path.is_dir()}
@@ -255,7 +255,7 @@ def _load(folder: Path, name: str, only: Collection[str] | None) -> tuple[dict[s
 
 
 def _remove_unused(folder: Path) -> None:
-    """Remove array files that no checkpoint uses. If a manifest cannot be read, it might use any, and all stay."""
+    """Remove unused array files. If a manifest cannot be read, all stay, because it might use any of them."""
     used: set[str] = set()
     for path in folder.iterdir():
         if path.is_dir() and path.name != _ARRAYS and not path.name.endswith(".new"):
@@ -435,7 +435,7 @@ def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) ->
         return {key: encode(item, f"{path}.{key}", arrays) for key, item in value.items()}
     if type(value) in {list, tuple}:
         return type(value)(encode(item, f"{path}[{index}]", arrays) for index, item in enumerate(value))
-    raise TypeError(f"{path}: a checkpoint holds no {type(value).__name__}")
+    raise TypeError(f"{path}: a checkpoint cannot hold a {type(value).__name__}")
 
 
 def decode(value: Any, arrays: ArrayFiles | None = None) -> Any:
@@ -454,7 +454,7 @@ def _encode_array(value: np.ndarray | np.generic, path: str, arrays: ArrayFiles 
 
     array = np.asarray(value)
     if array.dtype.hasobject or array.dtype.fields:
-        raise TypeError(f"{path}: a checkpoint holds no array of {array.dtype}")
+        raise TypeError(f"{path}: a checkpoint cannot hold an array of {array.dtype}")
     data = np.ascontiguousarray(array).reshape(-1).view(np.uint8)
     shape = {"dtype": array.dtype.str, "shape": array.shape}
     if arrays is not None and data.nbytes >= LARGE:

@@ -13,7 +13,7 @@ _T = TypeVar("_T")
 
 
 def from_json(kind: type[_T], value: bytes | Mapping[str, Any]) -> _T | None:
-    """The value of a type in a JSON object or its text; None if there is none, or a number or text is invalid."""
+    """The value of a type in a JSON object or its text; None if it is missing, or a number or text is invalid."""
     adapter: TypeAdapter[_T] = _adapter(cast("Any", kind))
     try:
         return adapter.validate_json(value) if isinstance(value, bytes) else adapter.validate_python(value)
@@ -22,7 +22,7 @@ def from_json(kind: type[_T], value: bytes | Mapping[str, Any]) -> _T | None:
 
 
 def read_json(kind: type[_T], path: Path) -> _T | None:
-    """The value of a type in a file; None as well if the file cannot be read."""
+    """The value of a type in a file; also None if the file cannot be read."""
     try:
         return from_json(kind, path.read_bytes())
     except OSError:

@@ -1,6 +1,6 @@
-"""Evaluation: one test of a policy. It is not in `karolos.evaluation`, because readers need nothing that plays.
+"""Evaluation: one test of a policy. It is not in `karolos.evaluation`, because readers need no code that plays.
 
-An evaluation is one JSON object in one line, whatever was played: tests.jsonl holds the tests during training,
+Every evaluation is one JSON object in one line: tests.jsonl holds the tests during training,
 final.jsonl the final test of `last` and `best`, transfers.jsonl the tests under changed settings. The index has the
 numbers of tests.jsonl in its table of tests, and those of the final test in the run's row.
 """
@@ -24,7 +24,7 @@ from .decode import from_json
 Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 """A number that databases can store."""
 WITHIN = (0.05, 0.1, 0.25)
-"""Distances in m: reports say which fraction of test episodes ended nearer to their goal."""
+"""Distances in m. Reports show the fraction of test episodes that ended nearer to their goal."""
 COUNTS = (
     "steps",
     "seconds",
@@ -45,9 +45,9 @@ class Measured(TypedDict):
 
     unit: str
     better: Literal["smaller", "larger"]
-    """Which of two values is better."""
+    """Whether smaller or larger values are better."""
     mean: FiniteFloat | None
-    """Mean over the episodes in which it is defined; None without any."""
+    """Mean over the episodes in which it is defined; None if there are none."""
     values: NotRequired[tuple[FiniteFloat | None, ...]]
     """Value of each episode, None where it is undefined; missing in the index."""
 
@@ -55,10 +55,10 @@ class Measured(TypedDict):
 @final
 @dataclass(frozen=True)
 class Evaluation:
-    """One test of a policy: in numbers, episode by episode, and which policy was tested how.
+    """One test of a policy: its numbers, its episodes, and the policy and conditions of the test.
 
-    Lists have one entry per episode, in the order of the seeds. They are empty where only the numbers are known, as in
-    the index. Fields about the policy and the settings have their defaults in tests during training.
+    Lists have one entry per episode, in the order of the seeds. They are empty if only the numbers are known, as in the
+    index. In tests during training, fields about the policy and the settings have their defaults.
     """
 
     steps: Count
@@ -75,7 +75,7 @@ class Evaluation:
     mean_return: FiniteFloat | None
     """Mean over the episodes of the sum of rewards; None if it is not finite."""
     measures: dict[str, Measured] = field(default_factory=dict)
-    """What the environment measures an episode by, by name; empty in tests of version 0.1."""
+    """Measures of the episodes, by name; empty in tests of version 0.1."""
     any: tuple[bool, ...] = ()
     """Whether the goal was reached at some step."""
     end: tuple[bool, ...] = ()
@@ -85,13 +85,13 @@ class Evaluation:
     returns: tuple[float, ...] = ()
     """Sums of rewards."""
     lengths: tuple[int, ...] = ()
-    """Steps."""
+    """Number of steps."""
     distances: tuple[float, ...] | None = None
-    """From the goal at the last step, in m; inf where it does not count (nothing landed). None if it is unknown."""
+    """Distance to the goal at the last step, in m; inf if it does not count (nothing landed). None if unknown."""
     checkpoint: str | None = None
     """`last` or `best`; None during training."""
     sha256: str | None = None
-    """Hash of the agent's state in the checkpoint. It identifies the policy if the checkpoint is overwritten later."""
+    """SHA-256 of the agent's state in the checkpoint. It identifies the policy after the checkpoint is overwritten."""
     seed: int | None = None
     """Root of the seeds of the episodes; None during training, where it is `testing.seed`."""
     overrides: tuple[str, ...] = ()
@@ -104,6 +104,8 @@ class Evaluation:
     """Duration of the test."""
     versions: Mapping[str, str] = field(default_factory=dict)
     """Versions of the software that played."""
+    causes: Mapping[str, int] = field(default_factory=dict)
+    """Failed episodes by cause, of a robot's score."""
     own: Evaluation | None = None
     """Numbers of the same policy on the same episodes under the unchanged spec."""
 
@@ -141,7 +143,7 @@ class Evaluation:
 
     @classmethod
     def joined(cls, parts: Sequence[Evaluation], count: int | None = None) -> Evaluation:
-        """The evaluation that was played in parts, in the order of their episodes, or its first `count` episodes."""
+        """The evaluation that joins parts, in the order of their episodes, or its first `count` episodes."""
 
         def whole(columns: Iterable[Any]) -> Any:
             known = list(columns)
@@ -189,7 +191,7 @@ class Evaluation:
 
     @property
     def counts(self) -> Evaluation:
-        """The numbers alone, as the index has them."""
+        """Only the numbers, as in the index."""
         means = {
             name: Measured(unit=one["unit"], better=one["better"], mean=one["mean"])
             for name, one in self.measures.items()
@@ -213,7 +215,7 @@ class Evaluation:
         }
 
     def changed_row(self) -> dict[str, Any]:
-        """A test under changed settings as JSON values, in the order that scripts rely on."""
+        """A test under changed settings as JSON values. Scripts rely on the order."""
         return {
             "time": self.time,
             "checkpoint": self.checkpoint,
@@ -222,6 +224,7 @@ class Evaluation:
             "randomized": self.randomized,
             "seed": self.seed,
             **self.row(),
+            "causes": dict(self.causes),
             "own": self.own and self.own.row(),
             "wall_seconds": self.wall_seconds,
         }
@@ -241,7 +244,7 @@ class Evaluation:
 
 
 def _finite_mean(values: Sequence[float]) -> float | None:
-    """The mean, which is the same in every version of Python; None if it is not finite, or without values."""
+    """The mean, equal in every version of Python; None if it is not finite or there are no values."""
     try:
         mean = math.fsum(values) / len(values)
     except (OverflowError, ValueError, ZeroDivisionError):
@@ -261,7 +264,7 @@ def decode(line: bytes | Mapping[str, Any]) -> Evaluation | None:
 
 
 def _decode_older(line: bytes | Mapping[str, Any]) -> Evaluation | None:
-    """A line of version 0.1, which has no counts, or of transfers.jsonl of 0.2, where the test is nested."""
+    """A line of version 0.1 without counts, or of transfers.jsonl in 0.2 with a nested test."""
     row = parse_object(line) if isinstance(line, bytes) else line
     if row is None or "successes_end" in row:
         return None
@@ -286,7 +289,7 @@ def decode_final(text: bytes) -> dict[str, Evaluation]:
     if not older:
         named = {str(one.checkpoint): one for one in found}
         return named if len(found) == len(lines) and "last" in named else {}
-    # Up to 0.2 the first line describes the policies. Those that are the same have one line, in 0.1 two.
+    # Up to 0.2 the first line describes the policies. Equal policies have one line, in 0.1 two.
     if len(found) != len(lines) - 1 or len(found) not in (len({*older.values()}), len(older)):
         return {}
     return {

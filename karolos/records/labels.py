@@ -1,7 +1,7 @@
 """Labels: the tags and the note that people give a run, in labels.json of the run folder.
 
-They can be written while the run goes on. The index is updated afterwards (`Store.refresh_labels`): it reads this file
-again, so that of two processes that write at once neither change is lost.
+They can be written during a run. Afterwards the index reads this file again (`Store.refresh_labels`). If two processes
+write at the same time, no change is lost.
 """
 
 from __future__ import annotations
@@ -17,10 +17,10 @@ from ..files import locked, write_json
 from .decode import read_json
 
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000
-"""Characters."""
+"""Largest length in characters."""
 _TAG = re.compile(rf"(?!\s)[^\n\r\0\ud800-\udfff]{{1,{LONGEST_TAG}}}(?<!\s)")
 _NOTE = re.compile(rf"[^\0\ud800-\udfff]{{0,{LONGEST_NOTE}}}")
-"""What every database and file can hold: neither NUL nor a surrogate."""
+"""Texts that every database and file can hold: without NUL and surrogates."""
 _FILE = "labels.json"
 
 
@@ -43,7 +43,7 @@ def is_damaged(folder: Path) -> bool:
 
 
 def add_tags(folder: Path, tags: Iterable[str]) -> bool:
-    """Add tags to a run; returns whether that changed its labels.
+    """Add tags to a run; returns whether its labels changed.
 
     Raises UsageError if a text cannot be a tag, RunError if labels.json is damaged.
     """
@@ -63,7 +63,7 @@ def remove_tags(folder: Path, tags: Iterable[str]) -> bool:
 
 
 def set_note(folder: Path, note: str) -> bool:
-    """Replace the note; an empty text removes it. Returns whether that changed the labels.
+    """Replace the note; an empty text removes it. Returns whether the labels changed.
 
     Raises UsageError if it is too long, RunError if labels.json is damaged.
     """

@@ -1,4 +1,4 @@
-"""Provenance of a run: versions, command line and code. `recorded` in `karolos.errors` decides what is shown."""
+"""Provenance of a run: versions, command line and code. `recorded` in `karolos.errors` removes secrets."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ from .run_records import GitCommit
 GIT_SECONDS = 10.0
 """Time limit of one call of git; the run goes on without its answer."""
 DIFF_BYTES = 1_000_000
-"""Longer differences are cut off: data files do not belong into a run folder."""
+"""Longer differences are cut off: data files do not belong in a run folder."""
 UNTRACKED_FILES = 50
 _BETWEEN = "\x1f"
-"""Separates arguments: white space, which no argument holds."""
+"""Separates arguments. An argument contains no such white space."""
 
 _SECRET_FILES = (
     *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
@@ -60,7 +60,7 @@ def versions() -> dict[str, str]:
 
 
 def packages(spec: Mapping[str, Any]) -> set[str]:
-    """The packages and modules of others that a resolved spec names: by their plugins, or as "module:name"."""
+    """The foreign packages and modules that a resolved spec names: by their plugins, or as "module:name"."""
     named = {text for key, value in spec.items() if key != "name" for text in _texts(value)}
     modules = {re.split("[.:]", value)[0] for value in named if re.fullmatch(r"[A-Za-z_][\w.]*:[\w.-]+", value)}
     return modules | {entry.package for entry in _plugins() if entry.name in named}
@@ -76,13 +76,13 @@ def _texts(value: object) -> Iterator[str]:
 def sources(names: Iterable[str] | None = None, unread: list[str] | None = None) -> dict[str, str]:
     """SHA-256 (hex) of the source of karolos and of these installed packages and modules, by default of all plugins.
 
-    `unread` gets a line for each file that does not count, see `fingerprint`.
+    `unread` gets a line for each ignored file, see `fingerprint`.
     """
     found = {}
     for name in sorted({"karolos", *({entry.package for entry in _plugins()} if names is None else names)}):
         try:
             spec = find_spec(name)
-        except Exception:  # of any importer
+        except Exception:  # any importer may raise it
             continue
         places = spec.submodule_search_locations or (spec.origin or "",) if spec else ()
         notes: list[str] = []
@@ -101,7 +101,7 @@ def source_of_others(found: Mapping[str, str]) -> str | None:
 
 
 def _plugins() -> Iterator[PluginEntry]:
-    """The plugins of others."""
+    """The foreign plugins."""
     return (entry for kind in KINDS for entry in entries(kind) if entry.package != "karolos")
 
 
@@ -111,28 +111,28 @@ def software() -> dict[str, Any]:
 
 
 def other_versions(other: Mapping[str, str]) -> list[str]:
-    """Which of these versions are other ones here."""
+    """Differences between these versions and those of this process."""
     own = versions()
     found = [(name, own.get(name, "missing"), version) for name, version in sorted(other.items())]
     return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
 
 
 def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
-    """Settings whose files (`Spec.files`), and modules whose source are others now than in a run's run.json."""
+    """Settings whose files (`Spec.files`) have changed since a run's run.json, and modules whose source has."""
     modules = {name: digest for name, digest in (about.get("sources") or {}).items() if name != "karolos"}
     made, now = {**modules, **(about.get("files") or {})}, {**sources(modules), **files}
     return sorted(name for name, digest in made.items() if now.get(name) != digest)
 
 
 def other_software(other: Mapping[str, Any]) -> list[str]:
-    """How `software` is another one here; nothing is said of a source that is not known."""
+    """Differences between `software` and this process. Unknown sources are ignored."""
     found, known = other_versions(other.get("versions", {})), other.get("sources") or {}
     own = {} if found else sources(known)
     return found or [f"the source of {name} is another one" for name in known if known[name] != own.get(name)]
 
 
 def check_software(launched: Mapping[str, Any], where: str) -> None:
-    """Raise a MachineError if this process has other software than the one that launched it, see `software`."""
+    """Raise a MachineError if the software differs between this process and its launcher, see `software`."""
     found = other_software(launched)
     if found:
         raise MachineError(
@@ -143,7 +143,7 @@ def check_software(launched: Mapping[str, Any], where: str) -> None:
 
 
 def code(folder: Path) -> tuple[GitCommit, str] | None:
-    """The git work tree that contains `folder`, and how its tracked files differ from the commit, cut off at 1 MB.
+    """The git work tree that contains `folder`, and the differences of tracked files from the commit, cut off at 1 MB.
 
     None without one, or if git is missing or does not answer.
     """

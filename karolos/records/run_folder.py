@@ -1,4 +1,4 @@
-"""RunFolder: one run's folder, made, locked, written and read; and the run folders in a runs folder."""
+"""RunFolder: creates, locks, writes and reads one run's folder. Also lists the run folders in a runs folder."""
 
 from __future__ import annotations
 
@@ -52,12 +52,12 @@ from .run_records import (
 )
 
 LOCK_SECONDS = 0.5
-"""A reader that checks whether a run is alive holds the lock for an instant; the run waits this long for it."""
+"""Time that a run waits for its lock. A reader that checks whether the run is alive holds it for an instant."""
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
 ROBOT = "robot"
 """Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 STAGE_EPISODES, EPISODE_BYTES = 500, 1000
-"""Training episodes that the success by stage is of, and the largest usual length of a line of one."""
+"""Number of training episodes for the success by stage, and the largest usual length of an episode's line."""
 DAMAGED_SPEC = "missing, damaged or changed"
 _FOLDERS = 10_000
 _GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")
@@ -81,11 +81,11 @@ class RunFolder:
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
         self._locked_at: float | None = None
-        """When this process locked the run (monotonic, s)."""
+        """Time at which this process locked the run (monotonic, s)."""
         self._earlier_seconds = 0.0
         """Seconds that earlier processes worked on the run."""
         self._tests: Lines[Evaluation] | None = None
-        """What `_read_tests` has read. The process that locked the run alone writes tests, and reads them once."""
+        """Result of `_read_tests`. Only the process that locked the run writes tests; it reads them once."""
 
     @classmethod
     def create(cls, runs: str | Path, name: str, seed: int) -> RunFolder:
@@ -97,10 +97,10 @@ class RunFolder:
             for attempt in range(1, _FOLDERS):
                 path = root / (stem if attempt == 1 else f"{stem}-{attempt}")
                 with suppress(FileExistsError):
-                    path.mkdir()  # succeeds in one process only, however many try
+                    path.mkdir()  # succeeds in only one process
                     break
             else:
-                raise MachineError(f"{stem} is taken", where=str(runs))
+                raise MachineError(f"the name {stem} is taken", where=str(runs))
         folder = cls(path)
         folder.lock()
         folder._run = {"format": FORMAT, "id": path.name, "name": name, "seed": seed, "created": timestamp(now)}
@@ -175,7 +175,7 @@ class RunFolder:
         continued_from: Mapping[str, Any] | None = None,
         files: Mapping[str, str] | None = None,
     ) -> None:
-        """Write what the run is made from. The folder counts as a run from here on, because run.json is written last.
+        """Write the spec and provenance of the run. The folder counts as a run from here on: run.json is written last.
 
         Args:
             resolved: the spec with every default filled in, as JSON values.
@@ -183,7 +183,7 @@ class RunFolder:
             text: the spec as its author wrote it.
             source: the folder whose git work tree is recorded; the current one by default.
             changed: the settings of the spec that differ from their defaults, as JSON values.
-            continued_from: the run, and its steps, from whose end this one goes on.
+            continued_from: the run that this one continues, and its number of steps.
             files: `Spec.files`.
         """
         unread: list[str] = []
@@ -204,7 +204,7 @@ class RunFolder:
             "sources": provenance.sources(provenance.packages(resolved), unread),
             "unread": unread,
             "files": files,
-            "machine": f"{platform.system()} {platform.machine()}",  # on which numbers may depend
+            "machine": f"{platform.system()} {platform.machine()}",  # numbers may depend on it
             "command": provenance.command_line(),
             "git": git,
         }
@@ -238,14 +238,14 @@ class RunFolder:
         return spec
 
     def set_state(self, state: StateName, *, error: str | None = None, **amounts: Any) -> None:
-        """Replace the state by any but lost, and the error: why it failed, in one line.
+        """Replace the state (any except lost) and the error: why it failed, in one line.
 
-        `amounts` are steps, seconds and updates of training so far; what is not given keeps its value.
+        `amounts` are steps, seconds and updates of training so far; missing ones keep their values.
         """
         self._write_state(replace(self._stored_state(), state=state, error=error and redact(error), **amounts))
 
     def set_progress(self, **amounts: Any) -> None:
-        """Say how far a running run is: steps, seconds and updates. Does not wait for the disk."""
+        """Write the progress of a running run: steps, seconds and updates. Does not wait for the disk."""
         self._write_state(replace(self._stored_state(), **amounts), durable=False)
 
     def next_attempt(self) -> int:
@@ -273,7 +273,7 @@ class RunFolder:
             self._tests = Lines((*self._tests.rows, test), self._tests.problems)
 
     def cut_tests(self, steps: int) -> None:
-        """Remove the tests after this many steps: a run that does not resume bit for bit tests at other steps."""
+        """Remove the tests after these steps: a run that does not resume bit for bit has tests at other steps."""
         path, self._tests = self.path / TESTS, None
         if not path.exists():
             return
@@ -286,7 +286,7 @@ class RunFolder:
     def tests(self) -> tuple[Evaluation, ...]:
         """The tests during training in the order of their steps, episode by episode.
 
-        Of two at the same step the one written later counts, as a resumed run makes. `record().problems` names lines
+        If two have the same step, as after a resume, the later one counts. `record().problems` names lines
         that cannot be read.
         """
         return _by_steps(self._read_tests().rows)
@@ -303,7 +303,7 @@ class RunFolder:
         write_whole(self.path / FINAL, "".join(f"{line}\n" for line in lines))
 
     def final(self) -> dict[str, Evaluation]:
-        """The final test by checkpoint, `last` and `best`, on episodes that nothing was chosen on.
+        """The final test by checkpoint, `last` and `best`, on held-out episodes.
 
         `best` is missing if its checkpoint could not be written or read. Empty before the final test, or if its file is
         damaged (`record().problems` says so).
@@ -327,9 +327,9 @@ class RunFolder:
         append_lines(self.path / "episodes.jsonl", episodes)
 
     def stages(self, prefix: str, episodes: int = STAGE_EPISODES) -> dict[str, tuple[int, int]]:
-        """Of the last training episodes: stage that they began in -> how many did, and how many of these succeeded.
+        """Stage -> number of the last training episodes that began in it, and of successes among them.
 
-        prefix: what the names of stages' parameters begin with (`core.environment.STAGE`, which imports NumPy).
+        prefix: beginning of the names of stages' parameters (`core.environment.STAGE`, which imports NumPy).
         "start" are those that began as tests do. The easiest comes first. Empty where none begins further on.
         """
         found: dict[str, tuple[int, int]] = {}
@@ -349,13 +349,13 @@ class RunFolder:
         return path.stat().st_size if path.exists() else 0
 
     def cut_episodes(self, size: int) -> None:
-        """Remove the training episodes after this many bytes: a resumed run plays them again."""
+        """Remove the training episodes after these bytes: a resumed run plays them again."""
         if self.episodes_bytes() > size:
             with writing(self.path / "episodes.jsonl"):
                 os.truncate(self.path / "episodes.jsonl", size)
 
     def state(self) -> RunState:
-        """The state now, `lost` included."""
+        """The current state, which may be `lost`."""
         return self._current(self._stored_state())
 
     def summary(self) -> RunSummary:
@@ -363,7 +363,7 @@ class RunFolder:
         return self.record().summary
 
     def record(self) -> RunRecord:
-        """The content of the folder, and what is damaged or missing in it."""
+        """The content of the folder, and its damaged or missing files."""
         spec = self.read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
@@ -425,7 +425,7 @@ class RunFolder:
         return RunRecord(summary, spec, tests, self._run.get("versions", {}), commit, problems)
 
     def _current(self, stored: RunState) -> RunState:
-        """The state now, given what state.json held just before."""
+        """The current state, given a state.json that was read just before."""
         if stored.unfinished and not self.is_locked():
             stored = self._stored_state()  # the run may have ended after the first read
             if stored.unfinished and (stored.state, stored.attempt) != ("created", 1):  # such a run waits for its start
@@ -442,7 +442,7 @@ class RunFolder:
 
 
 def _by_steps(tests: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
-    """Tests in the order of their steps, of several at the same step the last."""
+    """Tests in the order of their steps; for each step the last one."""
     unique = {test.steps: test for test in tests}
     return tuple(unique[steps] for steps in sorted(unique))
 
@@ -453,7 +453,7 @@ def paths(runs: str | Path, pattern: str = "*", description: str = "run.json") -
     Args:
         runs: the runs folder; the list is empty if it does not exist.
         pattern: of the folders' names, as in a shell.
-        description: the file that makes a folder one of them.
+        description: the file that marks a run folder.
     """
     try:
         found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))
@@ -474,15 +474,15 @@ def scan(runs: str | Path, pattern: str = "*") -> Iterator[RunFolder | RunError]
 
 
 def renamed(runs: str | Path) -> Iterator[RunFolder]:
-    """The run folders that have lost the name they were given, by name. They are still the same runs."""
+    """The renamed run folders, by name. They are still the same runs."""
     for path in paths(runs):
         if _GIVEN_NAME.search(path.name) is None:
-            with suppress(RunError):  # a damaged one does not say whose it is
+            with suppress(RunError):  # a damaged one does not say its run
                 yield RunFolder.open(path)
 
 
 def remove_lost_leftovers(runs: str | Path, pattern: str = "*") -> None:
-    """Remove files that killed processes did not finish from run folders that no process has locked.
+    """Remove incomplete files of killed processes from run folders that no process has locked.
 
     Arguments as those of `paths`.
     """

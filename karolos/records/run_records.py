@@ -1,4 +1,4 @@
-"""A run as frozen values: its row in a listing, and what its folder and the index have of it."""
+"""A run as frozen values: its row in a listing, and its record in the folder and the index."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ FORMAT = 1
 """Version of the folder's layout, in run.json."""
 StateName = Literal["created", "running", "finished", "failed", "stopped", "lost"]
 STATES: tuple[str, ...] = get_args(StateName)
-"""A run's folder holds all but `lost`, which readers compute."""
+"""States of a run. Its folder never holds `lost`, which readers compute."""
 UNFINISHED = ("created", "running")
 Success = Literal["any", "end"]
 """How success is counted: the goal is reached at any step, or at the last step."""
 Metric = Literal["any", "end", "return"]
-"""What is compared: the success ratio, or the mean return."""
+"""Quantity of a comparison: a success ratio, or the mean return."""
 THRESHOLD = 0.95
 """Lowest success at which a run counts as solved in steps_to_95 (`end`) and steps_to_95_any."""
 
@@ -42,7 +42,7 @@ class GitCommit(TypedDict, total=False):
     """The commit of the work tree that a run was started in."""
 
     commit: str
-    """As hexadecimal digits."""
+    """Commit in hexadecimal digits."""
     dirty: bool
     """Whether tracked files differed from it (code.diff)."""
     untracked: list[str]
@@ -55,14 +55,14 @@ class RunDescription(TypedDict):
     format: int
     id: Annotated[str, Field(pattern=f"^{ID.pattern}$")]
     experiment: str
-    """Hash of the settings that results depend on."""
+    """Hash of the settings that change results."""
     name: str
     """Name of the experiment."""
     seed: Annotated[int, Field(ge=0, strict=True)]
     created: str
     """Time in UTC, ISO 8601."""
     continued_from: NotRequired[dict[str, Any]]
-    """The run, and its steps, from whose end this one goes on."""
+    """The run that this one continues, and its number of steps."""
     changed: NotRequired[dict[str, Any] | None]
     """Settings that differ from their defaults; None if that is not known."""
     resolved_sha256: NotRequired[str]
@@ -72,9 +72,9 @@ class RunDescription(TypedDict):
     sources: NotRequired[dict[str, str]]
     """SHA-256 of karolos and of the packages and modules that the spec names."""
     unread: NotRequired[list[str]]
-    """Files of these that do not count, and why."""
+    """Ignored files of these, with the reasons."""
     files: NotRequired[dict[str, str] | None]
-    """Key path -> SHA-256 of the file that the setting names, and of what that names."""
+    """Key path -> SHA-256 of the file that the setting names, including the files named there."""
     machine: NotRequired[str]
     command: NotRequired[list[str]]
     git: NotRequired[GitCommit | None]
@@ -94,7 +94,7 @@ class RunState:
     error: str | None = None
     """Why it failed, in one line."""
     updated: str = ""
-    """When this was written (ISO 8601, UTC)."""
+    """Time of writing (ISO 8601, UTC)."""
     updates: Count | None = None
     """Gradient updates; None if unknown."""
     total_seconds: FiniteFloat = 0.0
@@ -102,7 +102,7 @@ class RunState:
 
     @property
     def unfinished(self) -> bool:
-        """Whether a process should be working on it: if none does, the run is lost."""
+        """Whether a process should work on it. If none does, the run is lost."""
         return self.state in UNFINISHED
 
 
@@ -111,13 +111,13 @@ class RunSummary:
     """One run in one row. The first ten fields are what scripts rely on, in this order.
 
     Success and return are of the final test's policy `last`; before it, of the last test (None before the first).
-    Success is None as well if the environment does not define it.
+    Success is also None if the environment does not define it.
     """
 
     run: str
     """Id: the name of the folder."""
     experiment: str
-    """Hash of the settings that results depend on."""
+    """Hash of the settings that change results."""
     seed: int
     state: str
     """created, running, finished, failed, stopped or lost."""
@@ -136,7 +136,7 @@ class RunSummary:
     name: str
     """Name of the experiment."""
     episodes: int | None
-    """Episodes of the test that success and return are of: success_any * episodes is a whole number."""
+    """Number of episodes of the test that gives success and return. success_any * episodes is a whole number."""
     environment: str | None
     robot: str | None
     task: str | None
@@ -150,7 +150,7 @@ class RunSummary:
     updated: str
     folder: str
     tags: tuple[str, ...] = ()
-    """In alphabetical order."""
+    """Tags in alphabetical order."""
     note: str | None = None
     updates: int | None = None
     """Gradient updates; None if unknown."""
@@ -169,11 +169,11 @@ class RunSummary:
     mean_return: float | None = None
     """Mean over the episodes of the sum of rewards."""
     best_return: float | None = None
-    """That of the policy `best`."""
+    """Mean return of the policy `best`."""
     measures: dict[str, Measured] = field(default_factory=dict, hash=False)
-    """By name, those of the test that success and return are of."""
+    """Measures by name, of the test that gives success and return."""
     source: str | None = None
-    """Hash of the plugins and modules of others that the spec names; None: it names none, or they are not known."""
+    """Hash of the foreign plugins and modules that the spec names; None: there are none, or they are unknown."""
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
@@ -186,7 +186,7 @@ class RunRecord:
 
     summary: RunSummary
     spec: Mapping[str, Any]
-    """Resolved, in the index without its seeds; empty if its file is damaged."""
+    """Resolved spec, in the index without its seeds; empty if its file is damaged."""
     tests: tuple[Evaluation, ...]
     """Numbers of the tests during training, in the order of their steps."""
     versions: Mapping[str, str]
@@ -198,7 +198,7 @@ class RunRecord:
 
     @property
     def has_success(self) -> bool:
-        """Whether a test says how many episodes succeed."""
+        """Whether a test knows its number of successes."""
         return self.summary.success_end is not None or any(test.has_success for test in self.tests)
 
     def values(self, metric: Metric) -> tuple[float, ...]:
@@ -219,13 +219,13 @@ class RunRecord:
         return self.values(metric)[-1]
 
     def measured(self, name: str) -> float | None:
-        """The mean of a measure over the episodes of the test that `reported` is of; None if it is unknown."""
+        """The mean of a measure over the episodes of the reported test; None if it is unknown."""
         measure = self.summary.measures.get(name)
         return None if measure is None else measure["mean"]
 
     @property
     def episodes(self) -> int:
-        """Episodes of the test that `reported` is of."""
+        """Number of episodes of the reported test."""
         return (self.summary.episodes if self.summary.final else None) or self.tests[-1].episodes
 
     @property

@@ -1,4 +1,4 @@
-"""A sweep as frozen values, and reading it from its folder, which `karolos.plans.sweep` writes. Needs no Optuna."""
+"""A sweep as frozen values, read from the folder that `karolos.plans.sweep` writes. Needs no Optuna."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ _DESCRIBED = (
     *("name", "experiment", "created", "asked", "wants_final"),
     *("objectives", "directions", "parameters", "seeds"),
 )
-"""Fields of SweepRecord in sweep.json, besides its id."""
+"""Fields of SweepRecord in sweep.json, in addition to its id."""
 _OF_SWEEP = re.compile(r"(.+)-(?:t\d{3,}|best)")
-"""The name of a run of a sweep: of its trial, or of its best trial as a spec."""
+"""Pattern of the name of a sweep's run: of a trial, or of the best trial as a spec."""
 SweepTrialState = Literal["running", "complete", "pruned", "failed"]
 
 
 def best_name(sweep: str) -> str:
-    """The name of the spec, and so of its runs, that a sweep of this name writes of its best trial."""
+    """The name of the spec, and of its runs, that a sweep of this name writes for its best trial."""
     return f"{sweep}-best"
 
 
@@ -46,11 +46,11 @@ class Trial:
     """One trial of a sweep: its settings and its result."""
 
     number: Count
-    """From 0."""
+    """Number of the trial, from 0."""
     name: str
     """Name of its runs."""
     state: SweepTrialState
-    """Running until it ends, also while the sweep is interrupted."""
+    """State; `running` until the trial ends, even while the sweep is interrupted."""
     drawn: Mapping[str, Any]
     """Parameter -> number, or label of a choice; a parameter whose condition does not hold is missing."""
     values: tuple[FiniteFloat, ...] | None
@@ -66,18 +66,18 @@ class Trial:
 
 @dataclass(frozen=True)
 class SweepFinal:
-    """The best trials on seeds that they were not tuned on."""
+    """The best trials on new seeds."""
 
     chosen: int
-    """Number of the best trial on the fresh seeds."""
+    """Number of the trial that is best on the new seeds."""
     seeds: tuple[int, ...]
     report_seeds: tuple[int, ...]
     tuned: tuple[FiniteFloat, ...]
     """The chosen trial's objectives on the sweep's seeds; biased upwards, because it was selected by them."""
     fresh: Mapping[int, tuple[FiniteFloat, ...]]
-    """Trial -> objectives on the fresh seeds; a trial that failed on them is missing."""
+    """Trial -> objectives on the new seeds; a trial that failed on them is missing."""
     reported: tuple[FiniteFloat, ...] | None
-    """The chosen trial's objectives on seeds used for nothing else; None if a run failed."""
+    """The chosen trial's objectives on the reporting seeds, which have no other use; None if a run failed."""
 
     def row(self) -> dict[str, Any]:
         """As JSON values; `gap` is tuned minus reported, one per objective."""
@@ -103,14 +103,14 @@ class SweepRecord:
     seeds: tuple[int, ...]
     """The seeds of every trial."""
     asked: Count
-    """Number of trials it shall have."""
+    """Number of trials that it shall have."""
     wants_final: bool
-    """Whether the best trials shall be run on fresh seeds."""
+    """Whether the best trials shall run on new seeds."""
     created: str
     """ISO 8601, UTC."""
     folder: str
     trials: tuple[Trial, ...] = ()
-    """By number."""
+    """Trials by number."""
     final: SweepFinal | None = None
 
     @property
@@ -131,7 +131,7 @@ class SweepRecord:
         return next(iter(self.ranked), None)
 
     def reports(self, name: str, seed: int) -> bool:
-        """Whether a run says how good the sweep's settings are: they were neither tuned nor chosen on its seed."""
+        """Whether a run is an unbiased result of the sweep's settings: they were not tuned or chosen on its seed."""
         if name == best_name(self.name):
             return seed not in {*self.seeds, *(self.final.seeds if self.final else ())}
         return (
@@ -141,7 +141,7 @@ class SweepRecord:
         )
 
     def state(self) -> str:
-        """The state now: running; finished; or stopped, if trials are missing and no process carries it out."""
+        """The current state: running; finished; or stopped, if trials are missing and no process runs it."""
         if is_running(Path(self.folder)):
             return "running"
         missing = self.ended < self.asked or (self.wants_final and self.final is None and bool(self.ranked))
@@ -166,7 +166,7 @@ class SweepRecord:
 
 @dataclass(frozen=True)
 class TrialChanged:
-    """An event of a sweep: a trial begins, or goes on after an interruption (its state is running), or has ended."""
+    """An event of a sweep: a trial begins or continues (its state is running), or has ended."""
 
     trial: Trial
     done: int
@@ -179,7 +179,7 @@ class TrialChanged:
 
 @dataclass(frozen=True)
 class FinalBegan:
-    """An event of a sweep: runs of the final phase begin, on seeds that were not used for tuning."""
+    """An event of a sweep: runs of the final phase begin, on new seeds."""
 
     trials: tuple[int, ...]
     seeds: tuple[int, ...]
@@ -187,7 +187,7 @@ class FinalBegan:
 
 
 def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ...]:
-    """Objectives with signs such that smaller is better."""
+    """Objectives with signs, so that smaller is better."""
     return tuple(
         -value if direction == "maximize" else value for value, direction in zip(values, directions, strict=True)
     )
@@ -200,7 +200,7 @@ def rank(trials: Sequence[Trial], directions: Sequence[str]) -> list[Trial]:
 
 
 def is_running(folder: Path) -> bool:
-    """Whether a process carries out the sweep in this folder."""
+    """Whether a process runs the sweep in this folder."""
     return FileLock(folder / LOCK).is_locked()
 
 
@@ -261,7 +261,7 @@ def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
 
 
 def _trial(line: bytes, objectives: int) -> Trial | None:
-    """The trial in a line; None if it cannot be one of a sweep with this number of objectives."""
+    """The trial in a line; None if it does not fit a sweep with this number of objectives."""
     trial = from_json(Trial, line)
     if trial is None or (trial.values is None) == (trial.state == "complete"):
         return None

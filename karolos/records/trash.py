@@ -23,7 +23,7 @@ def throw_away(folder: RunFolder) -> Path:
         with writing(trash):
             trash.mkdir(exist_ok=True)
             target = _free(trash, folder.path.name)
-            if system.WINDOWS:  # where no file of a folder that moves may be open
+            if system.WINDOWS:  # there a folder can move only if none of its files is open
                 folder.release()
             system.replace(folder.path, target)
             system.sync_folder(trash)
@@ -37,7 +37,7 @@ def thrown_away(runs: str | Path) -> list[Path]:
 
 
 def find(runs: str | Path, selector: str) -> Path:
-    """The one folder in the trash whose name is, or begins with, the selector.
+    """The one folder in the trash whose name is or begins with the selector.
 
     Raises:
         UsageError: there is none, or several.

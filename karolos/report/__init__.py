@@ -1,1 +1,1 @@
-"""From compared numbers to tables, figures, pages and films."""
+"""Tables, figures, pages and films of compared numbers."""

@@ -21,17 +21,17 @@ from .tables import decimal, estimate, heading
 
 _Floats = NDArray[np.float64]
 HOVERED = 25
-"""Points of a curve, at the most about twice as many, that tell their values on hover."""
+"""Number of points of a curve (at most about twice this) that show their values on hover."""
 MOST_APART = 200
-"""Most lines of a contender's seeds, and most dots that tell their names on hover: more cannot be told apart."""
+"""Largest number of seed lines, and of dots with names on hover: more cannot be distinguished."""
 SPREAD_POINTS, SEEN = 201, 0.995
-"""Points of a distribution, and the share of the episodes up to which it is shown."""
+"""Number of points of a distribution, and the share of the episodes that it shows."""
 WIDE = 8
-"""Ratio of the largest to the smallest value of a setting from which on its axis is logarithmic."""
+"""Smallest ratio of the largest to the smallest value of a setting for a logarithmic axis."""
 WHOLE = 0.6
-"""Part of 0 to 1 from which an axis of ratios shows all of it."""
+"""Smallest part of 0 to 1 for which an axis of ratios shows the whole range."""
 _SECONDS = ((7200, 3600, "h"), (120, 60, "min"), (0, 1, "s"))
-"""From how many seconds on a time axis has which unit, and the seconds in that unit."""
+"""Units of a time axis: smallest number of seconds for the unit, its name, and its seconds."""
 
 
 _LABELS: dict[Metric, str] = {
@@ -42,7 +42,7 @@ _LABELS: dict[Metric, str] = {
 
 
 def comparison_figures(comparison: Comparison, chosen: Collection[str] = ()) -> dict[str, list[Drawing]]:
-    """The figures by kind, or those whose kind or name is chosen, without any in which nothing would be seen.
+    """The figures by kind, or those whose kind or name is chosen. Empty figures are left out.
 
     Raises UsageError if no figure has a chosen name.
     """
@@ -55,7 +55,7 @@ def comparison_figures(comparison: Comparison, chosen: Collection[str] = ()) -> 
 
 
 def titled_curve(comparison: Comparison, title: str) -> Drawing:
-    """Learning over steps, on a page with several such figures."""
+    """Learning over steps, for a page with several such figures."""
     drawing = learning(comparison, "steps")
     drawing.name = file_name(title)
     drawing.axes.set_title(title, loc="left")
@@ -64,7 +64,7 @@ def titled_curve(comparison: Comparison, title: str) -> Drawing:
 
 @look()
 def learning(comparison: Comparison, axis: Axis) -> Drawing:
-    """Success or return over training: every seed thin, mean or inter-quartile mean bold, its interval as a band."""
+    """Success or return over training: seeds as thin lines, (inter-quartile) mean bold, its interval as a band."""
     contenders, metric = comparison.contenders, comparison.metric
     robust = min(len(contender.runs) for contender in contenders) >= aggregates.FEW_SEEDS
     statistic, name = (aggregates.iqm, "inter-quartile mean") if robust else (aggregates.mean, "mean")
@@ -83,7 +83,7 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
         drawing.part(band, f"band series-{series}")
         names = [_run_text(contender, place) for place in range(len(contender.runs))]
         _seeds(drawing, series, [(places(run, axis) / scale, run.values(metric)) for run in contender.runs], names)
-        alone = "o" if at.size == 1 else ""  # a single point would not be seen
+        alone = "o" if at.size == 1 else ""  # a single point would be invisible
         [line] = axes.plot(at, curve.middle, **style(series), linewidth=2, marker=alone, zorder=3)
         drawing.part(line, f"main series-{series}", f"{contender.label}: {name}")
         for place in range(0, at.size, at.size // HOVERED + 1):
@@ -98,7 +98,7 @@ def learning(comparison: Comparison, axis: Axis) -> Drawing:
 
 @look()
 def final(comparison: Comparison) -> Drawing:
-    """The reported success or return of every seed as a dot; below them mean and interval as a cross."""
+    """The reported success or return of every seed as a dot, with mean and interval below as a cross."""
     drawing = Drawing(
         f"final_{comparison.what}",
         f"{comparison.what.title()} at the end of training",
@@ -117,9 +117,9 @@ def final(comparison: Comparison) -> Drawing:
 
 @look()
 def measure_figures(comparison: Comparison) -> list[Drawing]:
-    """For each measure that a contender knows: every seed as a dot, below them mean and interval, as in `final`.
+    """For each measure of a contender: every seed as a dot, mean and interval below, as in `final`.
 
-    Behind them how each measure is distributed over the episodes.
+    Behind them stands the distribution of each measure over the episodes.
     """
     drawings = []
     for name, one in comparison.measures.items():
@@ -141,7 +141,7 @@ def measure_figures(comparison: Comparison) -> list[Drawing]:
 def _spread(
     comparison: Comparison, name: str, episodes: Sequence[Sequence[Mapping[str, Sequence[float]]]]
 ) -> list[Drawing]:
-    """How a measure is distributed over the episodes of the final tests; nothing where no folder holds them."""
+    """Draw the distribution of a measure over the episodes of the final tests, if a folder holds them."""
     finals = [[values.get(name, ()) for values in runs] for runs in episodes]
     known = [np.sort(values) for runs in finals for values in runs if len(values)]
     if not known:
@@ -167,7 +167,7 @@ def _spread(
 
 @look()
 def condition_figures(comparison: Comparison) -> list[Drawing]:
-    """Success over each setting under other values of which policies were tested: mean over seeds and its interval."""
+    """Success over each setting that tests changed: mean over seeds and its interval."""
     tree = SeedTree(0).child("conditions")
     found = [conditions(one, tree.child(place)) for place, one in enumerate(comparison.contenders)]
     drawings = []
@@ -202,7 +202,7 @@ def condition_figures(comparison: Comparison) -> list[Drawing]:
 def _seeds(
     drawing: Drawing, series: int, lines: Sequence[tuple[_Floats, Sequence[float] | _Floats]], names: Sequence[str] = ()
 ) -> None:
-    """A thin line for each seed of a contender, or for some of very many; `names` are told on hover."""
+    """A thin line for each seed of a contender, or for some if there are many. `names` appear on hover."""
     every = math.ceil(len(lines) / MOST_APART)
     for place, (x, y) in list(enumerate(lines))[::every]:
         [line] = drawing.axes.plot(x, y, **style(series), linewidth=0.6, alpha=0.45)
@@ -225,7 +225,7 @@ def _dots(
         comparison: of the contenders.
         values: of the runs of each contender; None: no dot.
         estimates: one for each contender; None: no cross.
-        span: of the axis, to keep about equal dots apart.
+        span: of the axis, to separate nearly equal dots.
     """
     axes, count = drawing.axes, len(comparison.contenders)
     for series, (contender, found) in enumerate(zip(comparison.contenders, estimates, strict=True)):
@@ -264,7 +264,7 @@ def profiles(comparison: Comparison) -> Drawing:
         values = [run.reported(comparison.metric) for run in contender.runs]
         thresholds = np.unique([*values, *_ends(comparison)])
         if np.isnan(values).all() or thresholds.size == 1:
-            continue  # nothing would be seen
+            continue  # the figure would be empty
         # The fraction at t holds from the threshold before t up to t.
         [line] = drawing.axes.step(
             thresholds, aggregates.profile(values, thresholds), where="pre", **style(series), linewidth=2
@@ -299,7 +299,7 @@ def density_figures(comparison: Comparison) -> list[Drawing]:
         )
         axes = drawing.axes
         _x_axis(drawing, list(several.values()), "steps")
-        # The square root keeps a density of 1, which says nothing, visible where another is 40.
+        # The square root keeps a density of 1 (no information) visible next to one of 40.
         shades = np.sqrt(np.stack([one.density for one in each], axis=1) / peak)
         heights = np.linspace(0, 1, len(shades))
         borders = np.clip(np.append(heights, heights[-1] + heights[1]) - heights[1] / 2, 0, 1)
@@ -326,7 +326,7 @@ KINDS: dict[str, Callable[[Comparison], list[Drawing]]] = {
     "measures": measure_figures,
     "settings": condition_figures,
 }
-"""What can be drawn: learning twice, the seeds twice, and a figure for each contender, measure and tested setting."""
+"""All figures: learning twice, the seeds twice, and one for each contender, measure and tested setting."""
 
 
 def heat_map(
@@ -377,7 +377,7 @@ def heat_map(
 
 
 def _x_axis(drawing: Drawing, contenders: Sequence[Contender], axis: Axis) -> float:
-    """Set the x axis from 0 to the last test of all runs; returns the steps or seconds in one unit of it."""
+    """Set the x axis from 0 to the last test of all runs. Returns the steps or seconds per unit of the axis."""
     from matplotlib.ticker import EngFormatter  # noqa: PLC0415  (takes half a second)
 
     high = max(float(places(run, axis)[-1]) for contender in contenders for run in contender.runs)
@@ -400,11 +400,11 @@ def _metric_axis(
     before: str = "",
     data: tuple[float, float] | None = None,
 ) -> None:
-    """An axis of what is compared. That of a ratio shows the part of 0 to 1 that holds the data, and says so.
+    """Set the axis of the compared quantity. For a ratio it shows the part of 0 to 1 with the data, and says so.
 
-    What lies on its border is drawn whole.
+    Lines on its border are not cut.
 
-    `data`: the smallest and the largest ratio; None: of what was drawn.
+    `data`: the smallest and the largest ratio; None: those of the drawn lines.
     """
     low, high = data or (drawing.axes.dataLim.intervaly if axis == "y" else drawing.axes.dataLim.intervalx)
     margin = max(0.06 * (high - low), 0.003)
@@ -423,7 +423,7 @@ def _value_axis(
     ratio: bool = True,
     part: tuple[float, float] | None = None,
 ) -> None:
-    """An axis with lines across; that of a ratio is a part of 0 to 1 or all of it. Lines on its border are not cut."""
+    """Set an axis with grid lines. For a ratio it is a part of 0 to 1 or all of it. Lines on its border are not cut."""
     drawing.axes.set(**{f"{axis}label": label})
     if ratio:
         drawing.axes.set(**{f"{axis}lim": part or (0, 1)} | ({} if part else {f"{axis}ticks": (0, 0.25, 0.5, 0.75, 1)}))
@@ -439,7 +439,7 @@ def _columns(at: _Floats) -> _Floats:
 
 
 def _ends(comparison: Comparison) -> tuple[float, float]:
-    """Smallest and largest success or return that a run reports; 0 without a finite one."""
+    """Smallest and largest reported success or return of a run; 0 if none is finite."""
     reported = [run.reported(comparison.metric) for contender in comparison.contenders for run in contender.runs]
     known = [value for value in reported if not math.isnan(value)]
     return min(known, default=0.0), max(known, default=0.0)
@@ -451,9 +451,9 @@ def _run_text(contender: Contender, place: int) -> str:
 
 
 def _offsets(values: _Floats, span: float) -> _Floats:
-    """Vertical offsets that keep equal values apart: each further dot of about the same value is .09 higher.
+    """Vertical offsets that separate equal values: each further dot with about the same value is .09 higher.
 
-    Values differ by more than a 40th of `span`, or are about the same.
+    Values count as about the same if they differ by at most a 40th of `span`.
     """
     seen: dict[int, int] = {}
     offsets = []

@@ -1,4 +1,4 @@
-"""Figures: how they look, how they are written into files, and how one stands inside a page."""
+"""Figures: their style, their files, and their form inside a page."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 STYLE = Path(__file__).with_suffix(".mplstyle")
 FORMATS = (".svg", ".pdf", ".png")
 COLOURS = ("#0072b2", "#bf4a00", "#00805c", "#a03a80", "#8a6a00", "#5a5a5a")
-"""Colours of the contenders, in order, after Okabe and Ito's set for colour-blind readers. They are darkened until each
-stands out from white by 4.5 : 1, as text must."""
+"""Colours of the contenders, in order, after Okabe and Ito's set for colour-blind readers. They are darkened until the
+contrast to white is 4.5 : 1, as for text."""
 DASHES: tuple[tuple[float, ...], ...] = ((), (5, 2), (1.5, 1.5))
 """Dash patterns of the contenders: solid for the first six, dashed for the next six, then dotted."""
 WIDTH, HEIGHT = 4.8, 3.4
@@ -38,7 +38,7 @@ _LOOKING = threading.RLock()
 
 @contextmanager
 def look() -> Iterator[None]:
-    """The settings of matplotlib under which figures are drawn and written. One thread at a time has them."""
+    """The settings of matplotlib for drawing and writing figures. Only one thread at a time uses them."""
     import matplotlib  # noqa: PLC0415  (takes half a second)
 
     with _LOOKING, matplotlib.rc_context(fname=STYLE), warnings.catch_warnings():
@@ -47,7 +47,7 @@ def look() -> Iterator[None]:
 
 
 def short(text: str, length: int = 28) -> str:
-    """A name shortened in the middle, since names differ at their ends; control characters are replaced."""
+    """A name shortened in the middle, because names differ at their ends. Control characters are replaced."""
     text = clean(text)
     if len(text) <= length:
         return text
@@ -88,7 +88,7 @@ class Drawing:
 
     @property
     def shows_something(self) -> bool:
-        """Whether anything that was drawn has a place on the axes: a return that is not a number has none."""
+        """Whether anything was drawn on the axes. A return that is not a number has no place there."""
         return bool(isfinite(self.axes.dataLim.x1 + self.axes.dataLim.y1))
 
     def part(self, artist: Artist, classes: str, tooltip: str = "") -> None:
@@ -151,7 +151,7 @@ class Drawing:
         for gid, (classes, tooltip) in self.parts.items():
             title = f"<title>{escape(tooltip)}</title>" if tooltip else ""
             text = text.replace(f'<g id="{gid}">', f'<g class="{classes}">{title}')
-        text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids that nothing names
+        text = re.sub(r' id="[a-z0-9.]+_\d+"', "", text.replace("xlink:href", "href"))  # ids without references
         label = escape(clean(self.title))
         return f'<svg role="img" aria-label="{label}"{text[text.index("<svg") + len("<svg") :].rstrip()}'
 
@@ -169,10 +169,10 @@ def write_plots(plots: Mapping[str, Figure], folder: Path) -> None:
 
 
 def write_figures(drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT) -> list[Path]:
-    """Write figures into `folder`, which is made if it is missing, as SVG, PDF and PNG; returns the files.
+    """Write figures into `folder` as SVG, PDF and PNG; returns the files. A missing folder is created.
 
     Args:
-        drawings: the figures. They keep the size that they are written in.
+        drawings: the figures. They keep the written size.
         folder: of the files.
         width: of a figure in inches; the height follows.
         font: size of the text in points; titles are a little larger.

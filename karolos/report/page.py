@@ -1,4 +1,4 @@
-"""Pages: HTML files made of sections, which need nothing else; and the page of a comparison."""
+"""Pages: self-contained HTML files made of sections; and the page of a comparison."""
 
 from __future__ import annotations
 
@@ -41,40 +41,40 @@ _DENSITIES = (
 
 @dataclass(frozen=True)
 class Section:
-    """A part of a page. It shows what is not empty, in this order."""
+    """A part of a page. It shows its non-empty fields, in this order."""
 
     heading: str = ""
     text: str = ""
     figures: Sequence[Drawing] = ()
     table: Table | None = None
-    """Its first column names the rows. On a page of contenders each other column is one's."""
+    """Table. Its first column names the rows. On a page of contenders each other column belongs to one contender."""
     series: Sequence[int] = ()
-    """If each row of the table is one contender's instead: which one's."""
+    """Contender of each row, if the rows of the table belong to contenders."""
     links: Sequence[str] = ()
-    """Addresses that the names of the rows lead to."""
+    """Addresses of the links on the names of the rows."""
     notes: Sequence[str] = ()
 
 
 def document(
     title: str, what: str, sections: Iterable[Section], warnings: Sequence[str] = (), contenders: Sequence[str] = ()
 ) -> str:
-    """An HTML file. Every text in it is escaped, and cleaned of signs that steer a terminal or reorder a line.
+    """An HTML file. Every text in it is escaped, and cleaned of characters that control a terminal or reorder a line.
 
-    Its security policy allows styles and pictures inside it, which matplotlib's figures have; nothing else.
+    Its security policy allows only inline styles and pictures, which matplotlib's figures need.
 
     Args:
         title: of the page.
-        what: it shows; stands below the title with karolos's version.
+        what: content of the page; stands below the title with karolos's version.
         sections: in their order.
         warnings: stand above the sections.
-        contenders: labels for check boxes that show or hide what is theirs, by the style sheet alone.
+        contenders: labels for check boxes that show or hide a contender, by the style sheet without scripts.
     """
     template = templates(FOLDER).get_template("page.html")
     return template.render(title=title, what=what, sections=sections, warnings=warnings, contenders=contenders)
 
 
 def templates(*folders: Path) -> Environment:
-    """The templates in some folders. Every value in them is escaped and cleaned."""
+    """The templates in these folders. Every value in them is escaped and cleaned."""
     loader = FileSystemLoader(folders)
     environment = Environment(loader=loader, autoescape=True, finalize=_cleaned, trim_blocks=True, lstrip_blocks=True)
     version = provenance.versions()["karolos"]
@@ -89,7 +89,7 @@ def _split(text: str) -> tuple[str, str]:
 
 
 def _breakable(text: str) -> Markup:
-    """A name that may go on in the next line after each underscore."""
+    """A name with a possible line break after each underscore."""
     return Markup("_<wbr>").join(str(_cleaned(part)) for part in text.split("_"))
 
 
@@ -106,7 +106,7 @@ def comparison_page(comparison: Comparison, drawings: Mapping[str, Sequence[Draw
 
 
 def comparison_sections(comparison: Comparison, drawings: Mapping[str, Sequence[Drawing]]) -> list[Section]:
-    """The parts of a comparison's page, with the figures of each kind that is there."""
+    """The parts of a comparison's page, with the figures of each available kind."""
     labels, same = comparison.labels, not comparison.parameters
     settings = Section(
         "Settings that differ",

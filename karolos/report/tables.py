@@ -26,7 +26,7 @@ _INTERVALS = {
     "range": "(low to high): smallest and largest of 2 to 4 seeds, too few for an interval",
     "wilson": "[low, high] of a single run: 95 % Wilson interval of its test, which says nothing about seeds",
 }
-"""Kind of an interval -> how it is written and what it is."""
+"""Kind of an interval -> its brackets and explanation."""
 T = TypeVar("T")
 Columns = dict[str, Callable[[T], str]]
 """Heading of a column -> its cell for an object."""
@@ -40,7 +40,7 @@ class Table:
         columns: headings; all empty: the table is shown without them.
         rows: as many cells as columns in each.
         title: stands above the table, if it is not empty.
-        optional: columns that a narrow terminal leaves out, the first of them first.
+        optional: columns that a narrow terminal leaves out, in this order.
     """
 
     columns: Sequence[str]
@@ -57,16 +57,16 @@ class Table:
 
     @classmethod
     def of(cls, rows: Sequence[T], columns: Columns[T], title: str = "") -> Table:
-        """A table with one row for each of some objects, without columns that have a value in no row."""
+        """A table with one row per object, without empty columns."""
         cells = {name: [cell(row) for row in rows] for name, cell in columns.items()}
         known = {name: texts for name, texts in cells.items() if not {"", "-"}.issuperset(texts)}
         return cls(list(known), list(zip(*known.values(), strict=True)), title)
 
 
 def clean(text: object, allowed: str = "") -> str:
-    """A text without characters that steer a terminal or reorder a line; "\N{REPLACEMENT CHARACTER}" replaces each.
+    """A text without characters that control a terminal or reorder a line; "\N{REPLACEMENT CHARACTER}" replaces each.
 
-    `allowed` characters are let through although they are not printable, such as a line break.
+    `allowed` characters stay although they are not printable, such as a line break.
     """
     return "".join(
         character if character.isprintable() or character in allowed else "\N{REPLACEMENT CHARACTER}"
@@ -77,7 +77,7 @@ def clean(text: object, allowed: str = "") -> str:
 def csv_text(rows: Sequence[Mapping[str, Any]]) -> str:
     """Rows as comma-separated values under the names of all of them; a list is one cell.
 
-    A text that a spreadsheet would take for a formula gets an apostrophe in front (OWASP, CSV injection).
+    A text that looks like a formula to a spreadsheet gets an apostrophe in front (OWASP, CSV injection).
     """
     text, names = io.StringIO(), list(dict.fromkeys(name for row in rows for name in row))
     writer = csv.writer(text, lineterminator="\n")
@@ -129,7 +129,7 @@ def _latex_row(cells: Iterable[str]) -> str:
 
 
 def duration(seconds: float | None) -> str:
-    """Seconds as a person reads them: 47.2 s, 12 min 03 s, 1 h 05 min; - for None."""
+    """Seconds for a person: 47.2 s, 12 min 03 s, 1 h 05 min; - for None."""
     if seconds is None:
         return "-"
     if seconds < 99.95:
@@ -159,12 +159,12 @@ def number(value: float | None) -> str:
 
 
 def decimals(value: float) -> int:
-    """Decimals that show three significant digits of a number, or more where it is large."""
+    """Number of decimals for three significant digits of a number, or more if it is large."""
     return max(0, 2 - math.floor(math.log10(abs(value)))) if value else 0
 
 
 def heading(name: str, measure: Measured) -> str:
-    """A measure with its unit, and with its direction where the larger is better."""
+    """A measure with its unit, and with its direction if larger is better."""
     unit = "" if measure["unit"] == "1" else f", {measure['unit']}"
     return f"{name}{unit}{', larger is better' if measure['better'] == 'larger' else ''}"
 
@@ -179,7 +179,7 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
 
     `best` is the policy `best` in the final test, `best end` its success at the end. `time` is that of collecting and
     learning, `total` that from start to end. `steps to .95 end` is when a test first showed that ratio at the end of
-    its episodes. Where no run has success, the return stands in the place of these columns.
+    its episodes. If no run has success, the return replaces these columns.
     """
     columns: Columns[RunSummary] = {
         "run": lambda run: run.run,
@@ -205,7 +205,7 @@ def runs_table(runs: Sequence[RunSummary]) -> Table:
 
 
 def run_state(run: RunSummary) -> str:
-    """The state, the speed of a run that trains, and whether one that has ended made no gradient update."""
+    """The state, the speed of a training run, and a note if an ended run made no gradient update."""
     if run.state == "running" and run.seconds:
         return f"running, {run.steps / run.seconds:,.0f} steps/s"
     return f"{run.state}, no update" if run.updates == 0 and run.state in ("finished", "stopped") else run.state
@@ -214,7 +214,7 @@ def run_state(run: RunSummary) -> str:
 def run_facts(
     run: RunSummary, about: Mapping[str, Any], checkpoints: Sequence[Mapping[str, Any]] | None = None
 ) -> dict[str, object]:
-    """What is known about a run besides its tests and settings; None where it is not known.
+    """Facts about a run other than its tests and settings; None for unknown ones.
 
     `about` is the content of its run.json or empty, `checkpoints` their names and meta; None leaves them out.
     """
@@ -241,9 +241,9 @@ def run_facts(
 
 
 def evaluations_table(tests: Iterable[Evaluation], *, title: str = "") -> Table:
-    """One row per test, with both ways to count success, or without success where no test has it.
+    """One row per test, with both kinds of success, or without success if no test has it.
 
-    Tests whose episodes are known show how many end within some distances of the goal.
+    If the episodes are known, it shows how many ended within some distances of the goal.
     """
     from ..records.evaluation import WITHIN  # noqa: PLC0415  (pydantic)
 
@@ -265,7 +265,7 @@ def evaluations_table(tests: Iterable[Evaluation], *, title: str = "") -> Table:
 
 
 def measures_table(measures: Mapping[str, Measured], title: str = "") -> Table:
-    """One row per measure of a test: over the episodes in which it is defined."""
+    """One row per measure of a test, over the episodes in which it is defined."""
 
     def row(name: str, one: Measured) -> tuple[str, ...]:
         values = one.get("values", ())
@@ -280,7 +280,7 @@ def measures_table(measures: Mapping[str, Measured], title: str = "") -> Table:
 
 
 def transfers_table(transfers: Iterable[Evaluation], *, title: str = "") -> Table:
-    """One row per test under changed settings. Unchanged: this policy and these episodes in its own environment."""
+    """One row per test under changed settings. "Unchanged": the same policy and episodes without the changes."""
 
     def own(cell: Callable[[Evaluation], str]) -> Callable[[Evaluation], str]:
         return lambda one: cell(one.own) if one.own else "-"
@@ -302,7 +302,7 @@ def transfers_table(transfers: Iterable[Evaluation], *, title: str = "") -> Tabl
 
 
 def stages_table(stages: Mapping[str, tuple[int, int]], *, title: str = "") -> Table:
-    """One row per stage that training episodes began in; what `RunFolder.stages` returns."""
+    """One row per stage in which training episodes began, from `RunFolder.stages`."""
     rows = [(stage, count(played), success(ended / played, played)) for stage, (played, ended) in stages.items()]
     return Table(["began", "episodes", "success end"], rows, title)
 
@@ -320,7 +320,7 @@ def settings_table(spec: Mapping[str, Any], title: str) -> Table:
 
 
 def verdict(comparison: Comparison) -> str:
-    """What the comparison says, in a few sentences: the best, and who differs from the first contender."""
+    """Summary of the comparison, in a few sentences: the best contender, and differences from the first one."""
     what = {"any": "success at any step", "end": "success at the end", "return": "return"}[comparison.metric]
     found = [{"any": one.any, "end": one.end, "return": one.returns}[comparison.metric] for one in comparison.scores]
     first, *others = comparison.labels
@@ -422,13 +422,13 @@ def comparison_file(comparison: Comparison, suffix: str) -> str:
 
 
 def differences_table(rows: Sequence[Mapping[str, Any]], a: str, b: str) -> Table:
-    """What differs in what two runs were made from: the rows of `compare_sides`."""
+    """Differences between the sources of two runs: the rows of `compare_sides`."""
     sides = [["-" if one["missing"] == side else setting(one[side]) for side in "ab"] for one in rows]
     return Table(["", a, b], [(f"{one['part']}: {one['key']}", *each) for one, each in zip(rows, sides, strict=True)])
 
 
 def explanations(comparison: Comparison) -> list[str]:
-    """What the signs in the scores mean, as far as they occur."""
+    """Meaning of the signs that occur in the scores."""
     scores = comparison.scores
     final = [run.summary.final for contender in comparison.contenders for run in contender.runs]
     what = "success and return are those" if any(one.end for one in scores) else "the return is that"
@@ -459,18 +459,18 @@ def explanations(comparison: Comparison) -> list[str]:
 
 def _reported_test(final: Sequence[bool]) -> str:
     if all(final):
-        return "the last policy in the final test, on episodes that nothing was chosen on"
+        return "the last policy in the final test, in held-out episodes"
     return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
 
 
 def interval_notes(found: Iterable[Estimate | None]) -> list[str]:
-    """What the brackets of some estimates mean."""
+    """Meaning of the brackets of these estimates."""
     kinds = {one.kind for one in found if one is not None}
     return [text for kind, text in _INTERVALS.items() if kind in kinds]
 
 
 def estimate(found: Estimate | None, digits: int = 3) -> str:
-    """A number with its interval, whose brackets tell its kind; - for None."""
+    """A number with its interval, whose brackets show its kind; - for None."""
     if found is None:
         return "-"
     value, low, high = (decimal(number, digits) for number in (found.value, found.low, found.high))
@@ -487,7 +487,7 @@ def decimal(number: float, digits: int = 3) -> str:
 
 
 def reached(found: Reaching | None, unit: str = "steps") -> str:
-    """Median steps or seconds to a threshold, and how many runs reached it; - for None."""
+    """Median steps or seconds to a threshold, and the number of runs that reached it; - for None."""
     if found is None:
         return "-"
     median = count(found.steps) if unit == "steps" else duration(found.seconds)

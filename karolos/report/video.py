@@ -21,11 +21,11 @@ if TYPE_CHECKING:
 
 FORMATS = (".mp4", ".gif")
 RATE = 24
-"""Pictures per second at least, where an environment takes fewer control steps."""
+"""Smallest number of pictures per second, if an environment takes fewer control steps."""
 BEGINNING_SECONDS = 8
-"""So much of a film is shown in TensorBoard."""
+"""Part of a film that TensorBoard shows."""
 OUTCOME_SECONDS = 0.7
-"""A film shows the outcome of an episode for this long."""
+"""Time for which a film shows the outcome of an episode."""
 TEXT, SUCCESS, FAILURE = "#20262c", "#22a559", "#c8452f"
 
 
@@ -38,7 +38,7 @@ def check_video_path(path: Path) -> None:
 
 
 def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed: bool) -> NDArray[np.uint8]:
-    """The picture (height, width, 3) with text and a frame: green at the goal, red where an episode failed."""
+    """The picture (height, width, 3) with text and a frame: green at the goal, red for a failed episode."""
     from PIL import Image, ImageDraw, ImageFont  # noqa: PLC0415
 
     image = Image.fromarray(picture)
@@ -53,12 +53,12 @@ def with_caption(picture: NDArray[np.uint8], text: str, *, success: bool, failed
 
 
 def pictures_per_second(environment: Environment) -> float:
-    """Frame rate of a film in real time: the control rate, or its first multiple from `RATE` on."""
+    """Frame rate of a film in real time: the control rate, or its first multiple of at least `RATE`."""
     return environment.rate * ceil(RATE / environment.rate - 1e-9)
 
 
 def pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDArray[np.uint8]]:
-    """Pictures of each control step that say whether the goal is reached; the last of an episode stands for a while."""
+    """Pictures of each control step that show whether the goal is reached. An episode's last one stays for a while."""
     for moment in moments:
         environment = moment.environment
         count = round(pictures_per_second(environment) / environment.rate)
@@ -73,7 +73,7 @@ def pictures(moments: Iterable[Moment], width: int, height: int) -> Iterator[NDA
 
 
 def write_film(path: Path, moments: Iterable[Moment], environment: Environment, size: tuple[int, int]) -> bytes:
-    """Film what is played, as `write_video`; returns the beginning as a GIF of half the size and rate."""
+    """Film played episodes, as `write_video`; returns the beginning as a GIF with half the size and rate."""
     beginning: list[NDArray[np.uint8]] = []
     rate = pictures_per_second(environment)
 
@@ -125,7 +125,7 @@ def write_gif(
 ) -> None:
     """Write pictures (height, width, 3), each shown for some milliseconds, in the same colours.
 
-    Each shade counts once for the choice of the colours, so that small objects keep theirs. Those of frames stay.
+    Each shade counts once in the choice of the colours, so that small objects keep theirs. Colours of frames stay.
     """
     from PIL import Image, ImageColor  # noqa: PLC0415
 

@@ -1,6 +1,6 @@
 """A serial arm: a robot file gives an `ArmModel` and the defaults of its settings; this file implements the robot.
 
-What an action changes is an object of its own, see `control`.
+The effect of an action is an object of its own, see `control`.
 """
 
 from __future__ import annotations
@@ -39,12 +39,13 @@ PLACE_TOLERANCE = 5e-4
 LARGEST_DAMPING = 5.0
 """Upper bound of the parameter joint_damping in N m s/rad."""
 DAMPED_SHARE = 0.4
-"""Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint: a motor that lacks half
-its torque (joint_friction) reaches that speed. Beyond, PyBullet, which damps explicitly, lets light wrists run away."""
+"""Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint. A motor that lacks half
+its torque (joint_friction) still reaches that speed. Above it PyBullet, which damps explicitly, is unstable at light
+wrists."""
 SPRING_FRICTION = RandomizedParameter(
     "1", 0.0, 0.0, 0.02, "dry friction of every joint: fraction of its largest torque"
 )
-"""In place of joint_friction where a spring moves the tool: nothing overcomes more."""
+"""Replaces joint_friction if a spring moves the tool: the spring cannot overcome more."""
 ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
     "joint_friction": RandomizedParameter(
         "1", 0.0, 0.0, 0.5, "dry friction: fraction of its largest torque that every motor lacks"
@@ -69,7 +70,7 @@ WRENCH_NOISE = RandomizedParameter(
     "N", 0.0, 0.0, 2.0, "standard deviation of the noise on the observed wrench; on its torque a tenth of that, in N m"
 )
 TORQUE_ARM = 0.1
-"""m; noise on the wrench's torque, by that on its force."""
+"""Ratio of the noise on the wrench's torque to that on its force, in m."""
 ARM_MEASURES = (
     Measure("path_length", "m", "smaller", "length of the way of the tool centre point"),
     Measure("peak_force", "N", "smaller", "largest force of a body or another link on a link of the arm or gripper"),
@@ -78,7 +79,7 @@ ARM_MEASURES = (
     Measure("peak_joint_acceleration", "1", "smaller", "largest acceleration of a joint, as a share of its limit"),
     Measure("peak_joint_torque", "1", "smaller", "largest torque of a motor, as a share of its limit"),
 )
-"""Of every arm. `Arm.measure` computes them."""
+"""Measures of every arm. `Arm.measure` computes them."""
 PAD_FORCE = Measure("peak_pad_force", "N", "smaller", "largest force of a body on a pad of the gripper")
 STOPS = Measure("protective_stops", "1", "smaller", "protective stops, those that are only counted included")
 
@@ -90,17 +91,20 @@ class Arm:
     with pose and impedance control also tool_rotation (6, the first two columns of its matrix) and
     tool_angular_velocity (3, rad/s), with impedance control set_point (6, the way from the tool to it, m and rad);
     with a gripper that actions move gripper_opening (1, 0 closed to 1 open; of a cup 1 without suction, .5 while it
-    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s).
+    holds something, else 0); with joint control joint_positions (n, rad) and joint_velocities (n, rad/s). With
+    `joint_slots` (s) instead, for each of s joints, 0 where there is none: joint_effects (6 s, how far an action of 1
+    moves the tool in m and turns it in rad), joint_rooms (2 s, to the lower and the upper limit, at most MOST_ROOM),
+    joint_speeds (s) and joint_accelerations (s, at most 1), all three in joint steps and control steps.
     Action, each number in [-1, 1]: tool_position_change (3, in units of `tool_step`), with `yaw` yaw_change (1, in
     units of `yaw_step`), with pose and impedance control tool_turn (3, rotation vector in units of `turn_step`); with
-    joint control instead joint_changes (n, in units of the joint step); with a gripper gripper_opening (1, -1 closed
-    to 1 open; a cup sucks below 0). With `timed_release` a gripper that holds something and is told to open
-    lets go within the control step, the later the less the action exceeds the opening that it has.
+    joint control instead joint_changes (n or s, in joint steps); with a gripper gripper_opening (1, -1 closed
+    to 1 open; a cup sucks below 0). With `timed_release` a gripper that holds something and is told to open lets go
+    within the control step. The less the action exceeds the current opening, the later it lets go.
     """
 
     Settings: ClassVar[type[ArmSettings]] = ArmSettings
     model: ArmModel
-    """Of the class: without a gripper where the arm has a flange. Of an instance: with the gripper of its settings."""
+    """Model of the arm. In the class: without a gripper if the arm has a flange. In an instance: with its gripper."""
 
     def __init__(self, settings: ArmSettings) -> None:
         self.settings = settings
@@ -113,7 +117,7 @@ class Arm:
             )
         )
         published = model.accelerations if settings.acceleration == "sheet" else None
-        self._accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
+        self.accelerations = published or tuple(speed / ACCELERATION_TIME for speed in self.limits.velocity)
         self.tool_speed = settings.tool_speed or model.tool_speed or inf
         middle_x, middle_y, _ = model.workspace.centre
         offset: Vector = (-middle_x, -middle_y, 0.0) if settings.base == "centred" else (0.0, 0.0, 0.0)
@@ -130,7 +134,7 @@ class Arm:
         self.reset_noise = settings.reset_noise
         self.gripper_delay = settings.gripper_delay
         self._told: list[tuple[int, float]] = []
-        """What the gripper was told and has not done yet: opening, and in how many physics steps."""
+        """Pending commands of the gripper: opening, and number of physics steps until it is done."""
         self._pressing: dict[tuple[int, int], float] | None = None
         nominal = {**ARM_PARAMETERS, "wrench_noise": WRENCH_NOISE, **drawn_settings(settings)}
         self._values = {name: parameter.nominal for name, parameter in nominal.items()}
@@ -140,7 +144,7 @@ class Arm:
 
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:  # noqa: ARG003  (of an arm that comes from a file)
-        """The model without a gripper where the arm has a flange."""
+        """The model, without a gripper if the arm has a flange."""
         return cls.model
 
     def forward(self, joints: Sequence[float]) -> Configuration:
@@ -162,9 +166,13 @@ class Arm:
         if limits == "task":
             limits = ProtectiveStop.model_validate({}) if needs.protective_stop else None
         self._guard = Guard(limits, self.limits.effort, period) if limits is not None else None
-        self.joint_step = tuple(min(self.settings.joint_step, speed * period) for speed in self.limits.velocity)
         self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
+        steps = [min(self.settings.joint_step, speed * period) for speed in self.limits.velocity]
+        if mode == "joint" and self.settings.joint_slots is not None:  # actions do alike whatever the size of an arm
+            levers = np.linalg.norm(self.chain.jacobian(self.chain.forward(self.model.home))[:3], axis=0)
+            steps = np.minimum(steps, self.settings.tool_step / np.maximum(levers, 1e-6)).tolist()
+        self.joint_step = tuple(steps)
         self.engine_needs: dict[str, Ability] = {}
         if mode == "impedance":
             self.engine_needs["robot.control"] = "impedance"
@@ -213,10 +221,10 @@ class Arm:
         return Layout((*self._control.action, *gripper))
 
     def facts(self) -> dict[str, Any]:
-        """What a controller has to know to run a policy: JSON-able, SI units, in the world's frame."""
+        """Facts that a controller needs to run a policy: JSON-able, SI units, in the world's frame."""
         settings, limits, scales = self.settings, self.limits, self._control.scales
         names = [limits.name(joint) for joint in range(self.chain.size)]
-        columns = (names, limits.lower, limits.upper, limits.velocity, self._accelerations, limits.effort)
+        columns = (names, limits.lower, limits.upper, limits.velocity, self.accelerations, limits.effort)
         keys = ("name", "lower", "upper", "velocity", "acceleration", "effort", "home")
         rows = zip(*columns, self.home_joints, strict=True)
         joints = [dict(zip(keys, row, strict=True)) for row in rows]
@@ -252,7 +260,7 @@ class Arm:
             "path_length": self._path,
             "peak_force": max(forces.values(), default=0.0),
             "peak_joint_speed": max(map(truediv, loads.speed, self.limits.velocity)),
-            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self._accelerations)),
+            "peak_joint_acceleration": max(map(truediv, loads.acceleration, self.accelerations)),
             "peak_joint_torque": max(map(truediv, loads.torque, self.limits.effort)),
             "peak_wrist_force": loads.wrench,
             "peak_pad_force": max(pads, default=0.0),
@@ -271,7 +279,7 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self.ramps = Ramps(self.limits, world.period, self._accelerations, (self.chain, self.tool_speed))
+        self.ramps = Ramps(self.limits, world.period, self.accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         fingers, cup = (self.model.fingers, self.model.cup) if self._grip is not None else (None, None)
@@ -303,7 +311,7 @@ class Arm:
             self._guard.available = 1 - fraction
 
     def value(self, name: str) -> float:
-        """The value of a parameter in the running episode."""
+        """Value of a parameter in the running episode."""
         return self._values[name]
 
     def reset(self, generator: Generator) -> None:
@@ -313,7 +321,7 @@ class Arm:
         self._place([position + offset for position, offset in zip(home, offsets, strict=True)], 1.0, 1.0)
 
     def _place(self, positions: Sequence[float], opening: float, command: float) -> None:
-        """Put the joints there at rest, within their limits, and the gripper at `opening`, told to go to `command`."""
+        """Place the joints there at rest, within their limits, and the gripper at `opening` with this command."""
         positions = self._clipped(positions)
         self.ramps.reset(positions)
         self.motors.write(positions, opening)
@@ -378,7 +386,7 @@ class Arm:
         self._control.act(values, {} if opening is None else self._openings(opening))
 
     def _openings(self, opening: float) -> dict[int, float]:
-        """What the gripper does in this control step, by physics step, when it is told to take this opening now."""
+        """The gripper's openings in this control step, by physics step, if this opening is commanded now."""
         opening, wait = self._timed(opening) if self.settings.timed_release else (opening, 0.0)
         substeps = self.world.substeps
         delay = round(self._values["gripper_delay"] * substeps / self.world.period)
@@ -390,17 +398,17 @@ class Arm:
     def lowest(self) -> float:
         """Lowest height to aim at, so that the tool comes to rest at the lower end of the workspace and not below.
 
-        A control step moves the tool by the mean of its speeds before and after. Afterwards it may be as fast as leaves
-        it the distance that is then left: s = d - (v T + s) / 2, which makes 1.5 of `steps_down`.
+        A control step moves the tool by the mean of its speeds before and after. Afterwards the step s may be as long
+        as the distance that is then left: s = d - (v T + s) / 2. This is the factor 1.5 of `steps_down`.
         """
         low, z, speed = self.workspace.low[2], self.tool_position[2], min(self.tool_velocity[2], 0.0)
         return max(low, z - (z - low + speed * self.period / 2) / self.model.steps_down)
 
     def _timed(self, opening: float) -> tuple[float, float]:
-        """What the gripper is told in this control step, and the fraction of the step after which it is.
+        """The gripper's command in this control step, and the fraction of the step after which it is given.
 
-        A release late in one step is nearly one at the beginning of the next: what it does to the object is continuous
-        in the actions, where a release at the beginning of a step jumps from step to step.
+        A release late in one step is nearly the same as one at the beginning of the next step. The effect on the object
+        is therefore continuous in the actions. A release only at the beginning of steps would jump.
         """
         opened, self._opens = self._opens, opening > self.opening + OPENS
         if opened or not self._opens:
@@ -436,7 +444,7 @@ class Arm:
         return self._guard is not None and self._guard.stopped
 
     def _forces(self) -> dict[tuple[int, int], float]:
-        """What presses on the arm after this control step, as `World.forces` says."""
+        """Forces on the arm after this control step, as `World.forces` returns them."""
         if self._pressing is None:
             self._pressing = self.world.forces(self.body)
         return self._pressing
@@ -467,7 +475,7 @@ class Arm:
         return values
 
     def _observe(self, name: str) -> list[float]:
-        """What the setting `observe` adds under this name, with noise."""
+        """The observation that the setting `observe` adds under this name, with noise."""
         if name == "rotation":
             return self.with_noise([*self.tool.x, *self.tool.y])
         if name == "torques":
@@ -480,8 +488,8 @@ class Arm:
 
     @property
     def seen_off(self) -> Sequence[float]:
-        """Error in m, in this episode, of where cameras see things (3,)."""
-        if not self._seen_off:  # drawn after the reset, which is the same with and without it
+        """Error of positions from cameras in this episode, in m: (3,)."""
+        if not self._seen_off:  # sampled after the reset, which is the same with and without it
             most = self._values["calibration_error"]
             self._seen_off = self._generator.uniform(-most, most, 3).tolist() if most else (0.0, 0.0, 0.0)
         return self._seen_off
@@ -533,19 +541,20 @@ class Arm:
         target = self._target(position, orientation)
         way = self.chain.step(self.configuration, target, self.posture(self.joint_positions))
         # so fast that .8 of a joint's acceleration stops it at the end of its way
-        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self._accelerations, strict=True))
-        # and by less where actions act late: a step of the whole way would be told again until it shows
+        needed = (sqrt(abs(ahead) / (1.6 * most)) for ahead, most in zip(way, self.accelerations, strict=True))
+        # and less if actions act late: the policy would repeat a step of the whole way until it sees the effect
         slower = max(1.0 + len(self._delayed), max(needed) / self.period)
         return self._action(self._control.towards(Way(target, way, slower)), opening)
 
     def turning(self, changes: Sequence[float], opening: float) -> FloatArray:
         if not self.turns_joints:
             raise UsageError(
-                "actions do not change joint positions",
+                "the control mode does not move joints directly",
                 setting="robot.control",
                 hint="set robot.control: joint",
             )
-        return self._action([change / step for change, step in zip(changes, self.joint_step, strict=True)], opening)
+        shares = [change / step for change, step in zip(changes, self.joint_step, strict=True)]
+        return self._action([*shares, *[0.0] * (self._control.action[0].size - len(shares))], opening)
 
     def _action(self, values: list[float], opening: float) -> FloatArray:
         if self._commanded:

@@ -1,4 +1,4 @@
-"""Control modes: what the actions of an arm change, and how its motors do it."""
+"""Control modes: what an arm's actions change, and how its motors follow."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from math import atan2, cos, hypot, sin
 from operator import truediv
 from typing import ClassVar, NamedTuple, Protocol
 
-from ..core import Field
+import numpy as np
+
+from ..core import Field, Kind
+from ..errors import UsageError
 from ..simulation.geometry import (
     Orientations,
     Quaternion,
@@ -29,10 +32,12 @@ ROTATION = Field("tool_rotation", 6, kind="rotation")
 VELOCITY = Field("tool_velocity", 3, "m/s", kind="vector")
 SPIN = Field("tool_angular_velocity", 3, "rad/s", kind="axial")
 CHANGE = Field("tool_position_change", 3, kind="vector")
+MOST_ROOM = 10.0
+"""Joint steps; a joint that is farther from the end of its range is described as if it were so near."""
 
 
 class ControlledArm(Protocol):
-    """What a control mode needs of an arm, see `arm.Arm`."""
+    """The part of an arm that a control mode needs, see `arm.Arm`."""
 
     settings: ArmSettings
     limits: JointLimits
@@ -44,6 +49,7 @@ class ControlledArm(Protocol):
     period: float
     tool_step: float
     joint_step: tuple[float, ...]
+    accelerations: tuple[float, ...]
     motors: Motors
     ramps: Ramps
     configuration: Configuration
@@ -60,13 +66,13 @@ class ControlledArm(Protocol):
 
 
 class Way(NamedTuple):
-    """Where an expert wants the tool to go."""
+    """The way that an expert wants the tool to go."""
 
     target: Pose
     joints: Sequence[float]
     """Change of each joint that leads there, in rad."""
     slower: float
-    """How many times slower than at once it may go there, at least, to stop in time."""
+    """Smallest factor by which the motion must be slower than in one step, to stop in time."""
 
 
 class Control:
@@ -75,9 +81,9 @@ class Control:
     Attributes:
         turns_joints: whether actions change joint positions.
         turns_tool: whether the tool may be turned away from pointing down.
-        observed: what is observed of the tool.
-        observed_joints: what is observed of the joints.
-        action: what the action changes, without the gripper.
+        observed: observed fields of the tool.
+        observed_joints: observed fields of the joints.
+        action: fields of the action, without the gripper.
     """
 
     turns_joints: ClassVar[bool] = False
@@ -91,10 +97,10 @@ class Control:
 
     @property
     def scales(self) -> dict[str, tuple[str, list[float]]]:
-        """What an action of 1 changes in a control step at the most: field of `action` -> unit, and each column's."""
+        """Largest change by an action of 1 in a control step: field of `action` -> unit, and change of each column."""
         arm = self.arm
         return {
-            "joint_changes": ("rad", list(arm.joint_step)),
+            **({} if arm.settings.joint_slots else {"joint_changes": ("rad", list(arm.joint_step))}),
             "tool_position_change": ("m", [arm.tool_step] * 3),
             "yaw_change": ("rad", [arm.settings.yaw_step]),
             "tool_turn": ("rad", [arm.settings.turn_step] * 3),
@@ -145,30 +151,67 @@ class Control:
 
 
 class JointControl(Control):
-    """An action changes each joint position, in units of the joint step."""
+    """An action changes each joint position, in units of the joint step.
+
+    With `joint_slots` (s) observations and actions fit arms with any number of joints up to s. Each joint is described
+    by what it does now, not by its angle, whose zero is arbitrary. Places without a joint are 0. Actions ignore them.
+    """
 
     turns_joints = True
 
     def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
-        size = arm.chain.size
-        self.action = (Field("joint_changes", size),)
-        self.observed_joints = Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")
+        size, slots = arm.chain.size, arm.settings.joint_slots
+        self._spare = (slots or size) - size
+        if self._spare < 0:
+            what, hint = f"this arm has {size} joints", f"set it to {size} or more, in training too"
+            raise UsageError(what, setting="robot.joint_slots", hint=hint)
+        if slots is None:
+            self.action = (Field("joint_changes", size),)
+            self.observed_joints = Field("joint_positions", size, "rad"), Field("joint_velocities", size, "rad/s")
+            return
+
+        def described(name: str, unit: str, kind: Kind = "scalar", each: int = 1) -> Field:
+            size = slots * each * (6 if kind == "wrench" else 1)
+            return Field(name, size, unit, kind=(kind,) * slots * each, joints=slots)
+
+        self.action = (described("joint_changes", "1"),)
+        self.observed_joints = (
+            described("joint_effects", "m, rad", "wrench"),
+            described("joint_rooms", "joint steps", each=2),
+            described("joint_speeds", "joint steps"),
+            described("joint_accelerations", "joint steps"),
+        )
 
     def changes(self, values: Sequence[float]) -> list[float]:
         return [step * value for step, value in zip(self.arm.joint_step, values, strict=False)]
 
     def observe_joints(self) -> Sequence[float]:
-        return [*self.arm.joint_positions, *self.arm.joint_velocities]
+        arm = self.arm
+        if arm.settings.joint_slots is None:
+            return [*arm.joint_positions, *arm.joint_velocities]
+        step = np.array(arm.joint_step)
+        effects = arm.chain.jacobian(arm.configuration).T * step[:, None]
+        below = (np.array(arm.joint_positions) - arm.limits.lower) / step
+        above = (np.array(arm.limits.upper) - arm.joint_positions) / step
+        rooms = np.clip(np.column_stack((below, above)), 0, MOST_ROOM)
+        speeds = arm.period * np.array(arm.joint_velocities) / step
+        # Above 1 a joint has its full speed within one control step.
+        accelerations = np.minimum(arm.period**2 * np.array(arm.accelerations) / step, 1)
+        values: list[float] = []
+        for part in (effects, rooms, speeds, accelerations):
+            values += part.ravel().tolist()
+            values += [0.0] * (part.size // arm.chain.size * self._spare)
+        return values
 
     def towards(self, way: Way) -> list[float]:
         shares = [ahead / step for ahead, step in zip(way.joints, self.arm.joint_step, strict=True)]
         longest = max(way.slower, *map(abs, shares))
-        return [share / longest for share in shares]
+        return [*(share / longest for share in shares), *[0.0] * self._spare]
 
 
 class CartesianControl(Control):
-    """An action changes the position of the tool, which points down, and its yaw if the arm's settings say so."""
+    """An action changes the position of the tool, which points down, and with the setting `yaw` its yaw."""
 
     turns_tool = False
 
@@ -248,7 +291,7 @@ class PoseControl(Control):
         return self._way(self.arm.configuration.tool, way.target, way.slower)
 
     def _way(self, start: Pose, target: Pose, slower: float) -> list[float]:
-        """The action that leads from one pose to another, at least so much slower than at once."""
+        """The action that leads from one pose to another, slower than in one step by at least this factor."""
         arm = self.arm
         shift: Sequence[float] = [there - here for there, here in zip(target.position, start.position, strict=True)]
         turn = rotation_vector(multiply(target.orientation, inverse(start.orientation)))
@@ -263,12 +306,12 @@ class PoseControl(Control):
 class ImpedanceControl(PoseControl):
     """As pose control, but an action moves the set point of a spring and damper at the tool, which gives way.
 
-    The set point stays where actions brought it. An arm that is told nothing holds its place under a load, and one that
-    is told to go on presses on a wall with as much as the largest error allows. (A set point that began at the tool in
-    each step would sink with a load, and could press with the force of one step only.) An error beyond the largest is
-    forgotten, so that the way back from a wall is short. What is left is all that the next step depends on and is
-    observed: `set_point`, the way from the tool to the set point in m, and as a rotation vector in rad. Times the
-    stiffness it is the force.
+    The set point stays where actions moved it. With zero actions the arm holds its place under a load. With further
+    actions it presses on a wall, up to the force of the largest error. (A set point that starts at the tool in each
+    step would sink with a load, and could press only with the force of one step.) The part of the error above the
+    largest one is discarded, so that the way back from a wall is short. The next step depends only on the rest, which
+    is observed as `set_point`: the way from the tool to the set point in m, and as a rotation vector in rad. Multiplied
+    by the stiffness it is the force.
     """
 
     observed = (*PoseControl.observed, Field("set_point", 6, "m, rad", kind="wrench"))
@@ -282,7 +325,7 @@ class ImpedanceControl(PoseControl):
         self._attach(self.arm.settings.stiffness)
 
     def _attach(self, stiffness: float) -> None:
-        """Let a spring of so many N/m move the tool; its other numbers are those of the episode."""
+        """Let a spring with this stiffness in N/m move the tool. Its other numbers are those of the episode."""
         settings, value = self.arm.settings, self.arm.value
         limits = settings.error_limit, settings.turn_error_limit
         self.arm.motors.attach(
@@ -311,7 +354,7 @@ class ImpedanceControl(PoseControl):
         arm.motors.aim((x, y, z), orientation, speed, (a / arm.period, b / arm.period, c / arm.period))
 
     def _cut(self) -> None:
-        """Bring the set point so near to the tool that no error is beyond the largest."""
+        """Move the set point towards the tool until no error exceeds the largest."""
         tool, (error, turn) = self.arm.configuration.tool, self._error()
         x, y, z = (own + ahead for own, ahead in zip(tool.position, error, strict=True))
         self._position, self._orientation = (x, y, z), multiply(rotation_about(turn), tool.orientation)

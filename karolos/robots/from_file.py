@@ -1,4 +1,4 @@
-"""An arm from somebody's file, without a package: `robot: {name: urdf, file: arm.urdf, gripper: robotiq_2f85}`."""
+"""An arm from a file, without a package: `robot: {name: urdf, file: arm.urdf, gripper: robotiq_2f85}`."""
 
 from __future__ import annotations
 
@@ -8,10 +8,12 @@ from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 from pydantic import Field as Setting
 from pydantic import TypeAdapter, ValidationError
 
+from ..core.settings import LATER
 from ..errors import MachineError, PluginError
 from ..files import INSTALLED, fingerprint, write_whole, writing
 from ..registry import load
@@ -27,37 +29,40 @@ _PROPOSAL = TypeAdapter(Proposal)
 
 
 class FromFile(Arm):
-    """An arm from a URDF. What the file does not say is assumed; `karolos robot check FILE` tells it.
+    """An arm from a URDF. Missing facts are assumed; `karolos robot check FILE` lists the assumptions.
 
-    The file and its meshes are a part of the experiment, by their content. A gripper takes the place of the file's own
-    hand. What is assumed is computed once, and kept in the user's cache folder.
+    The content of the file and its meshes belongs to the experiment. A gripper replaces the hand in the file. The
+    assumptions are computed once, and kept in the user's cache folder.
     """
 
     class Settings(ArmSettings):
-        """The settings of every arm, and those that take the place of an assumption."""
+        """The settings of every arm, and settings that replace an assumption."""
 
         file: str = Setting(
-            description="a URDF or an MJCF file; relative to the spec, in an override to the current folder, or "
-            "of a package: installed:PACKAGE/PATH"
+            description="a URDF or MJCF file: a path relative to the spec (in overrides: to the current folder), or "
+            "installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
             None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
         )
-        tool: str | None = Setting(None, description="the link of the tool frame, z forwards; null: by usual names")
-        flange: str | None = Setting(
-            None, description="the link that carries a gripper, z away from the arm; null: found"
+        repair: bool = Setting(
+            False,
+            json_schema_extra=LATER,
+            description="repair what arithmetic can, as `karolos robot check --repair` does without xacro",
         )
+        tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
+        flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
         flange_yaw: float | None = Setting(
             None, ge=-7, le=7, description="turn of a gripper about the flange's z, rad; null: its fingers close across"
         )
         home: tuple[float, ...] | None = Setting(
-            None, description="joint positions with the tool pointing down, rad; null: by inverse kinematics"
+            None, description="joint positions in which the tool points down, rad; null: by inverse kinematics"
         )
         workspace: tuple[Vector, Vector] | None = Setting(
             None,
-            description="lower and upper corner of what the tool reaches pointing down, m; null: as far as it does",
+            description="lower and upper corner of the tool's reach while it points down, m; null: computed",
         )
-        payload: float | None = Setting(None, gt=0, description="what the flange carries, gripper included, kg")
+        payload: float | None = Setting(None, gt=0, description="largest load of the flange with the gripper, kg")
 
     settings: Settings
 
@@ -68,7 +73,7 @@ class FromFile(Arm):
 
 
 def proposal_of(settings: FromFile.Settings) -> Proposal:
-    """The arm that a file is taken for, from the user's cache folder if it was computed before. Raises as `propose`."""
+    """The arm proposed for a file, from the user's cache folder if it was computed before. Raises as `propose`."""
     known = Known(
         tool=settings.tool,
         flange=settings.flange,
@@ -84,24 +89,35 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
         if settings.file.startswith(INSTALLED):
             hint = f"pip install {settings.file.removeprefix(INSTALLED).partition('/')[0]}"
         raise PluginError("there is no such file", where=str(path), hint=hint)
-    plain = path.suffix.lower() not in MJCF and settings.mass is None
+    plain = path.suffix.lower() not in MJCF and settings.mass is None and not settings.repair
     mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""
-    parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or (str(path.parent), settings.mass)]
+    parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or str(path.parent)]
+    parts += [] if plain else [str(settings.mass), str(settings.repair)]
     key = hashlib.sha256(json.dumps(parts).encode()).hexdigest()[:32]
-    found = _cached(path, key, settings.gripper, known, settings.mass)
+    made = None if plain else _Made(settings.mass, settings.repair)
+    found = _cached(path, key, settings.gripper, known, made)
     return replace(found, model=replace(found.model, urdf=path)) if plain else found
 
 
+class _Made(NamedTuple):
+    """How a URDF is made of a file."""
+
+    mass: float | None
+    """Of the whole arm in kg."""
+    repair: bool
+    """Whether to repair limits, too, and to leave out what cannot be read."""
+
+
 @lru_cache(maxsize=64)
-def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float | None) -> Proposal:
+def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made | None) -> Proposal:
     """`propose`, from the user's cache folder if these contents were proposed for before."""
     place = None
-    with suppress(RuntimeError, OSError, ValidationError):  # without a home, or of a damaged file: computed again
+    with suppress(RuntimeError, OSError, ValidationError):  # no home, or a damaged file: compute it again
         place = user_cache() / "karolos" / "robots" / f"{key}.json"
         found = _PROPOSAL.validate_json(place.read_bytes())
-        if (path.suffix.lower() not in MJCF and mass is None) or found.model.urdf.is_file():
+        if made is None or found.model.urdf.is_file():
             return found
-    used, notes = _as_urdf(path, mass, place)
+    used, notes = _as_urdf(path, made, place)
     found = propose(used, gripper, known)
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:
@@ -111,25 +127,25 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, mass: float
     return found
 
 
-def _as_urdf(path: Path, mass: float | None, beside: Path | None) -> tuple[Path, list[str]]:
+def _as_urdf(path: Path, made: _Made | None, beside: Path | None) -> tuple[Path, list[str]]:
     """The file, or a URDF that is made of it in the cache folder, and notes on what is made."""
-    if path.suffix.lower() not in MJCF and mass is None:
+    if made is None:
         return path, []
     if beside is None:
         raise MachineError("there is no folder for caches", where=str(path), hint="set XDG_CACHE_HOME")
-    repair, made = Repair(path, mass, limits=False), beside.with_suffix(".urdf")
+    repair, copy = Repair(path, made.mass, limits=made.repair), beside.with_suffix(".urdf")
     for one in repair.findings:
-        if not one.change:
+        if not one.change and not (made.repair and repair.robot is not None):
             raise PluginError(one.what, where=one.where, hint="`karolos robot check` shows everything at once")
-    with writing(made):
-        made.parent.mkdir(parents=True, exist_ok=True)
-    repair.write(made)
-    return made, [f"repaired: {one.what}: {one.change}" for one in repair.findings]
+    with writing(copy):
+        copy.parent.mkdir(parents=True, exist_ok=True)
+    repair.write(copy)
+    return copy, [f"repaired: {one.what}{one.change and f': {one.change}'}" for one in repair.findings]
 
 
 @lru_cache(maxsize=1)
 def _source() -> list[str | None]:
-    """What proposals depend on besides the file."""
+    """The code on which proposals depend, in addition to the file."""
     here = Path(__file__).parent
     files = (
         "repair.py",

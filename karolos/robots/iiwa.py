@@ -12,7 +12,7 @@ from .model import FINGERS, ArmModel, Flange
 
 
 class Iiwa(Arm):
-    """Seven joints, reach .82 m, payload 14 kg, with a gripper of two fingers.
+    """Seven joints, reach .82 m, payload 14 kg, with a two-finger gripper.
 
     Sources: KUKA's data sheet, iiwa_stack, iiwa_ros; see urdf/iiwa.urdf. KUKA publishes the speeds of the joints
     (specification of the LBR iiwa, axis data), but neither their accelerations nor a speed of the tool.

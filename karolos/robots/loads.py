@@ -1,4 +1,4 @@
-"""What an arm's motors carry: torques of gravity and of inertia, and the accelerations that they can give."""
+"""Loads of an arm's motors: torques of gravity and inertia, and the accelerations that the motors can reach."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from ..simulation.interface import GRAVITY
 from .ramps import ACCELERATION_TIME
 
 SHARE = 0.95
-"""Of its largest torque, what gravity and accelerations may take of a motor. The rest is for Coriolis forces."""
+"""Fraction of a motor's largest torque for gravity and accelerations. The rest is for Coriolis forces."""
 LEAST = 0.25
-"""Fraction of the usual acceleration that each joint keeps, whatever its torque."""
+"""Fraction of the usual acceleration that each joint keeps, even with too little torque."""
 ROUNDS, SMALLER = 200, 0.97
-"""How often, and by what factor, accelerations are made smaller that together need too much torque."""
+"""Number and factor of the reductions of accelerations that together need too much torque."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class MotorLoads:
     """Torques on the joints of an arm with its hand.
 
     Args:
-        description: what is simulated of it; the joints that turn are the arm.
+        description: the simulated arm; its turning joints are those of the arm.
     """
 
     def __init__(self, description: urdf.Description) -> None:
@@ -69,15 +69,15 @@ class MotorLoads:
         return held, inertia
 
     def shares(self, poses: Iterable[Sequence[float]]) -> Array:
-        """The largest fraction (n,) of each motor's torque that gravity takes at these poses."""
+        """The largest fraction (n,) of each motor's torque that gravity needs at these poses."""
         efforts = np.array([joint.effort for joint in self.joints])
         most: Array = np.max([np.abs(self.at(pose)[0]) / efforts for pose in poses], axis=0)
         return most
 
     def accelerations(self, poses: Iterable[Sequence[float]]) -> tuple[float, ...] | None:
-        """Accelerations (n,) in rad/s2 that the motors can give to all joints at once; None where that is the usual.
+        """Accelerations (n,) in rad/s2 that the motors can give to all joints at once; None: the usual ones.
 
-        A joint whose motor is short of torque is driven by the others, beyond its speed.
+        If a motor lacks torque, the other joints drive its joint beyond its speed.
         """
         usual = np.array([joint.velocity for joint in self.joints]) / ACCELERATION_TIME
         efforts, found = SHARE * np.array([joint.effort for joint in self.joints]), usual.copy()

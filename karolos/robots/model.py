@@ -1,4 +1,4 @@
-"""The numbers of an arm, and whether they fit its URDF."""
+"""The numbers of an arm, and the check that they fit its URDF."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..simulation.interface import Cup, Fingers
 from ..simulation.urdf import Description, Joint, Mount
 
 FINGERS = "fingers"
-"""In `ArmModel.self_collisions`: each finger of the gripper that is mounted."""
+"""Name in `ArmModel.self_collisions` for each finger of the mounted gripper."""
 
 
 @dataclass(frozen=True)
@@ -22,9 +22,9 @@ class Flange:
 
     link: str
     position: Vector
-    """In the frame of the link, in m."""
+    """Position in the frame of the link, in m."""
     rpy: Vector
-    """Its frame there, rad; z points away from the arm."""
+    """Orientation in that frame, rad; z points away from the arm."""
 
 
 @dataclass(frozen=True)
@@ -45,31 +45,31 @@ class ArmModel:
     tool: Vector = (0.0, 0.0, 0.0)
     """Tool centre point in that frame, in m. With a flange it follows from the gripper."""
     flange: Flange | None = None
-    """Where a gripper is mounted; None: the URDF holds the gripper, if there is one, and nothing takes its place."""
+    """Place of the gripper; None: the URDF holds the gripper, if any, and no other can replace it."""
     cut: tuple[str, ...] = ()
-    """Joints of the URDF that are left out where a gripper is mounted, with the hand that they carry."""
+    """Joints of the URDF that are left out with the hand that they carry, if a gripper is mounted."""
     gripper: str | None = None
-    """What is mounted if the spec names no other: its name; None: the hand in the URDF, or nothing."""
+    """Name of the gripper that is mounted by default; None: the hand in the URDF, or nothing."""
     payload: float | None = None
-    """What the flange carries, the gripper included, in kg."""
+    """Largest load of the flange with the gripper, in kg."""
     dexterous: Box | None = None
     """Part of the workspace in which the tool can be turned by `turn` and tilted by `tilt`, in m; None: unknown."""
     floor: float = 0.0
-    """Where in the frame of the base the floor is, or the table that the arm works on: its z in m."""
+    """Height (z) in m of the floor or table in the frame of the base."""
     tilt: float = 0.3
     """Largest angle of the tool from pointing down, in any direction, in rad."""
     turn: float = 0.8
     """Largest angle of the tool about the vertical from home, in rad."""
     turn_with: Mapping[str, float] = field(default_factory=dict)
-    """`turn` with grippers that are not its own, by their names. With others it is unknown what they would meet."""
+    """`turn` with other grippers, by their names. For grippers that are not named, collisions are unknown."""
     fingers: Fingers | None = None
-    """Of the gripper in the URDF. With a flange they follow from the gripper."""
+    """Fingers of the gripper in the URDF. With a flange they follow from the gripper."""
     cup: Cup | None = None
-    """Of a gripper that sucks, instead of fingers."""
+    """Suction cup that replaces fingers."""
     accelerations: tuple[float, ...] | None = None
-    """Largest acceleration of each joint in rad/s2, by its maker or by what its motors can give; None: unknown."""
+    """Largest acceleration of each joint in rad/s2, from the data sheet or from the motors; None: unknown."""
     tool_speed: float | None = None
-    """Largest speed of the tool centre point in m/s as its maker publishes it; None where no maker does."""
+    """Largest speed of the tool centre point in m/s by the data sheet; None if it does not say."""
     tool_step: float | None = None
     """Change of the tool position per control step that slow joints allow in every direction, in m; None: the usual."""
     self_collisions: tuple[tuple[str, str], ...] = ()
@@ -83,7 +83,7 @@ class ArmModel:
 
     @property
     def description(self) -> Description:
-        """What is simulated of the URDF."""
+        """The simulated part of the URDF."""
         fingers = self.fingers.joints if self.fingers is not None else ()
         cut = self.cut if self.mount else ()
         return urdf.load(self.urdf, tuple(sorted(self.locked.items())), fingers, mount=self.mount, without=cut)
@@ -123,7 +123,7 @@ def check_model(model: ArmModel, arm: Sequence[Joint], home: Vector) -> None:
 
 
 def arm_joints(model: ArmModel) -> list[Joint]:
-    """The joints of the arm. Raises PluginError where they are no serial chain, or do not fit the home pose."""
+    """The joints of the arm. Raises PluginError if they are not a serial chain, or do not fit the home pose."""
     found = [joint for joint in model.description.joints if joint.revolute]
     for before, joint in zip([None, *found], found, strict=False):
         problem = None
@@ -135,7 +135,7 @@ def arm_joints(model: ArmModel) -> list[Joint]:
             raise PluginError(problem, where=f"{model.urdf}: joint {joint.name}", hint="name it in `locked`")
     if len(found) != len(model.home):
         raise PluginError(
-            f"{len(found)} revolute joints, but a home pose of {len(model.home)}",
+            f"{len(found)} revolute joints, but a home pose for {len(model.home)} joints",
             where=str(model.urdf),
             hint=f"the joints that are not locked: {', '.join(joint.name for joint in found)}",
         )

@@ -1,4 +1,4 @@
-"""An arm with the gripper that its spec names: what depends on both."""
+"""Mounts a gripper on an arm, and computes the numbers that depend on both."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from .grippers.parallel import GripperModel
 from .model import FINGERS, ArmModel
 
 STEPS_DOWN = 3.0
-"""`ArmModel.steps_down` with another gripper: a Panda, which brakes slowly, would jam broad pads in the floor."""
+"""`ArmModel.steps_down` with another gripper: a Panda brakes slowly and would press broad pads into the floor."""
 REACHED = 2e-3
-"""Largest error, in m for the position and without unit for the approach, with which inverse kinematics reaches."""
+"""Largest error of inverse kinematics, in m for the position and without unit for the approach."""
 
 
 def mounted(model: ArmModel, name: str | None) -> ArmModel:
     """The model with this gripper at the arm's flange; None: with the arm's own.
 
-    The joints at home stay, and the tool's position follows. The workspace begins where the gripper meets the floor; of
-    an arm with a gripper that is not its own it is drawn in as far as the tool does not reach it.
+    The joints at home stay, and the tool's position follows. The workspace begins where the gripper meets the floor.
+    With a foreign gripper it shrinks to the part that the tool reaches.
 
     Raises:
         UsageError: the arm has no flange, or the gripper is too heavy for it.
@@ -48,7 +48,7 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
     if model.payload is not None and gripper.mass > model.payload:
         what = f"{chosen} weighs {gripper.mass:.2f} kg, more than the payload of {model.payload:g} kg"
         raise UsageError(what, setting="robot.gripper", hint="choose a lighter gripper")
-    built_in = model.urdf.parent == Path(__file__).parent / "urdf"  # a stranger's ur5.urdf is none
+    built_in = model.urdf.parent == Path(__file__).parent / "urdf"  # a foreign ur5.urdf does not count
     path = gripper.variants.get(model.urdf.stem, gripper.urdf) if built_in else gripper.urdf
     mount = Mount(chosen, path, flange.link, flange.position, flange.rpy)
     fingers, links, joints = gripper.fingers, tuple[str, ...](), tuple[str, ...]()
@@ -93,13 +93,13 @@ def _placed(origin: Vector, rotation: Array, position: Vector) -> Vector:
 
 @cache
 def _reached(joints: tuple[Joint, ...], frames: tuple[Vector, Vector, float], home: tuple[float, ...], box: Box) -> Box:
-    """The box, drawn in towards the tool at home until the tool reaches it pointing down. It stays on the floor.
+    """The box, shrunk towards the tool at home until the tool, pointing down, reaches all of it. It stays on the floor.
 
     Args:
         joints: of the arm.
         frames: position of the tool in the frame of the last link, in m, its rotation there, and `ArmModel.floor`.
         home: joint positions in rad.
-        box: as large as it may be, in m.
+        box: the largest box, in m.
     """
     tool, rpy, floor = frames
     chain = Chain(joints, (np.array(tool), urdf.rotation_matrix(*rpy)), (0.0, 0.0, -floor))
@@ -112,13 +112,13 @@ def _reached(joints: tuple[Joint, ...], frames: tuple[Vector, Vector, float], ho
         if inner.contains(at.position) and all(_reaches(chain, joints, home, place, yaw) for place in corners):
             return inner
     hint = "it needs another home pose: a robot of its own, with its own `home` and `workspace`"
-    raise PluginError("with this gripper the tool does not reach half of the workspace", hint=hint)
+    raise PluginError("with this gripper the tool reaches less than half of the workspace", hint=hint)
 
 
 def _reaches(
     chain: Chain, joints: tuple[Joint, ...], home: tuple[float, ...], place: Sequence[float], yaw: float
 ) -> bool:
-    """Whether the tool comes from home to a place, pointing down, within the limits of the joints."""
+    """Whether the tool, pointing down, gets from home to a place within the limits of the joints."""
     x, y, z = place
     target, pose = downward((x, y, z), yaw), np.array(home)
     low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
@@ -134,8 +134,8 @@ def _reaches(
 def _turned(box: Box, longer: float, tilt: float, within: Box) -> Box | None:
     """The part of a workspace in which the tool of a gripper that is `longer`, in m, can be tilted by `tilt`, in rad.
 
-    With the flange where it was, the tool is by `longer` further along its approach. What is common to all of its tilts
-    is left. None: nothing is.
+    With an unchanged flange the tool is further along its approach by `longer`. The result is the part that all tilts
+    have in common; None if there is none.
     """
     aside, far, near = abs(longer) * sin(tilt), max(longer, longer * cos(tilt)), min(longer, longer * cos(tilt))
     low = np.maximum(np.add(box.low, (aside, aside, -near)), within.low)
@@ -146,6 +146,6 @@ def _turned(box: Box, longer: float, tilt: float, within: Box) -> Box | None:
 
 
 def _inside(low: Array, high: Array) -> Box:
-    """The box between two corners, drawn in to millimetres."""
+    """The box between two corners, rounded inwards to millimetres."""
     (a, b, c), (d, e, f) = np.ceil(np.round(1000 * low, 6)) / 1000, np.floor(np.round(1000 * high, 6)) / 1000
     return Box((float(a), float(b), float(c)), (float(d), float(e), float(f)))

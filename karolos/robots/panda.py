@@ -12,7 +12,7 @@ from .model import FINGERS, ArmModel, Flange
 
 
 class Panda(Arm):
-    """Seven joints, reach .855 m, payload 3 kg with the gripper; it comes with a hand of two fingers.
+    """Seven joints, reach .855 m, payload 3 kg with the gripper; its own hand has two fingers.
 
     Sources: Franka Emika's data sheet and interface documentation, Gaz et al. 2019; see urdf/panda.urdf.
     """
@@ -29,7 +29,7 @@ class Panda(Arm):
         payload=3.0,
         accelerations=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),  # interface documentation, joint limits
         tool_speed=1.7,  # interface documentation, Cartesian limits, translation
-        # what the joint limits leave possible
+        # possible within the joint limits
         self_collisions=(
             ("link7", "link5"),
             *product(("link5", "link6", "link7", FINGERS), ("link0", "link1", "link2")),

@@ -1,8 +1,8 @@
-"""Home pose and workspace of an arm, by kinematics and the shapes of its links. No engine is asked."""
+"""Home pose and workspace of an arm, by kinematics and the shapes of its links, without an engine."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import atan2, cos, pi, sin
@@ -19,48 +19,49 @@ from .arm import POSTURE_GAIN
 from .model import ArmModel
 
 STARTS = 6
-"""Random joint positions from which inverse kinematics looks for a home pose, for each yaw of the tool."""
+"""Number of random joint positions from which inverse kinematics starts to search a home pose, per yaw of the tool."""
 TILTS = tuple((cos(way), sin(way)) for way in (0.0, pi / 3, 2 * pi / 3, pi, 4 * pi / 3, 5 * pi / 3))
-"""Directions in which the tool is tilted to see where it can be."""
+"""Number of directions in which the tool is tilted to find its reachable places."""
 LIMIT_DISTANCE = 0.1
 """Distance in rad from the limits of the joints that home and workspace keep."""
 HOME_SPEED = 0.8
 """Fraction of the joints' speeds that a full action may take at home."""
 SMALLEST_WORKSPACE = 0.04
 """Least edge of a workspace in m."""
-ENOUGH, MORE, LITTLE = 0.85, 1.1, 0.3
-"""Rooms: at which the search ends, by how much a later one must be better, and below which it goes to the sides."""
+ENOUGH, MORE, LEAST = 0.85, 1.1, 0.05
+"""Rooms: at which the search ends, by how much a later one must be better, and below which it goes to other heights and
+to the sides: policies that learned at one height are worse at half of it (UR3: picking .80, at the usual 1.00)."""
 CONFIGURATIONS, DIFFERENT = 3, 0.5
-"""How many different poses with the same tool are compared, and by how much a joint of them differs in rad."""
+"""Number of different poses with the same tool that are compared, and smallest difference of a joint in rad."""
 HOME_HEIGHT, HOME_SHARE = 0.2, 0.3
-"""Height in m of the tool at home above the floor, as of the built-in arms; of a small arm a share of its length."""
+"""Height in m of the tool at home above the floor, as for the built-in arms, and as a share of a small arm's length."""
 HEIGHTS = (1.0, 0.75, 0.5, 1.25)
-"""Heights at which homes are looked for, as shares of that."""
+"""Heights at which homes are searched, as shares of that."""
 REACH = (0.2, 0.25, 0.2)
-"""Largest size in m of a workspace from home ahead, across and upwards, as of the built-in arms."""
+"""Largest size in m of a workspace from home ahead, across and upwards, as for the built-in arms."""
 REACH_SHARE = (0.2, 0.3, 0.25)
 """The same as shares of the arm's length."""
 CLEARANCE, ROOM = 0.01, 0.06
-"""Least height in m of the links above the floor, and of those before the last three, which would lie on objects."""
+"""Smallest height in m of the links above the floor, and of links before the last three, which could touch objects."""
 CONTROL_STEPS, PERIOD = 45, 1 / 24
-"""Control steps in which the tool comes from home to any place of the workspace, and their seconds."""
+"""Control steps in which the tool gets from home to any place of the workspace, and their seconds."""
 ARRIVED = 3e-3
-"""m: so near has the tool come then."""
+"""Largest distance in m of the tool from the place after them."""
 APART = 0.005
-"""Least distance in m of links that may collide."""
+"""Smallest distance in m of links that may collide."""
 
 
 class Place(NamedTuple):
-    """A home pose and what can be done around it."""
+    """A home pose and the space around it."""
 
     room: float
-    """How much of the largest workspace there is: 1 is all; less if home is so near a face that four steps lead out."""
+    """Share of the largest workspace: 1 is all. It is smaller if four steps from home lead out of the workspace."""
     home: tuple[float, ...]
     """Joint positions in rad."""
     tool: Vector
     """Position of the tool at home in m."""
     tool_step: float
-    """The distance in m that the tool can move per control step along every axis."""
+    """Distance in m that the tool can move per control step along every axis."""
     workspace: Box
     corners: tuple[tuple[float, ...], ...]
     """Joint positions (n,) in rad at home and at the corners of the workspace."""
@@ -68,23 +69,25 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Outline:
-    """What of an arm's shapes and its hand matters for where it works.
+    """Shapes of an arm and its hand that limit its workspace.
 
     Attributes:
-        shapes: points (k, 3) that span what each joint moves, in the frame of its link.
+        shapes: for each joint, points (k, 3) that span the parts it moves, in the frame of its link.
         fingers: the same of the fingers, in the frame of the last link.
+        base: the same of the base, in its frame.
         lowest: height in m of the tool above the floor at which the hand meets it.
         closing: direction in the tool's frame along which fingers close; None without fingers.
     """
 
     shapes: tuple[Array, ...]
     fingers: Array
+    base: Array
     lowest: float
     closing: tuple[float, float] | None = None
 
     @property
     def yaws(self) -> tuple[float, ...]:
-        """Yaws of a tool that points down. Fingers close across, along the y axis, as those of the built-in arms do."""
+        """Yaws of a tool that points down. Fingers close along the y axis, as on the built-in arms."""
         if self.closing is None:
             return 0.0, pi / 2, pi, 3 * pi / 2
         yaw = atan2(-self.closing[0], self.closing[1])
@@ -98,7 +101,7 @@ class Poses:
         joints: from base to wrist.
         tool: translation in m and rotation (3, 3) of the tool in the frame of the last link.
         body: its shapes and its hand.
-        usual_step: in m that the tool shall move per control step.
+        usual_step: distance in m that the tool shall move per control step.
         floor: its height in m in the frame of the base. All places are above it.
     """
 
@@ -108,7 +111,7 @@ class Poses:
         self.chain, self.body, self.usual_step = Chain(joints, tool, (0.0, 0.0, -floor)), body, usual_step
         self._joints = [(np.array(one.origin), np.array(one.rotation), one.axis) for one in joints]
         self.length = sum(float(np.linalg.norm(one.origin)) for one in joints[1:]) + float(np.linalg.norm(tool[0]))
-        """Of the arm from its second joint to the tool, in m."""
+        """Length of the arm from its second joint to the tool, in m."""
         low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
         turns = high - low > 2 * pi
         low, high = np.where(turns, np.maximum(low, -pi), low), np.where(turns, np.minimum(high, pi), high)
@@ -116,21 +119,21 @@ class Poses:
         self.low, self.high = low + distance, high - distance
         inside = (low < -(high - low) / 10) & (high > (high - low) / 10)
         self.rest = np.where(inside, 0.0, (low + high) / 2)
-        """Joint positions that are preferred: 0, or the middle of a range that 0 is not well within."""
+        """Preferred joint positions: 0, or the middle of the range if 0 is near its end or outside."""
         self.speeds = np.array([joint.velocity for joint in joints])
 
     def best(self) -> Place | None:
-        """The home pose with the roomiest workspace; None if the tool cannot point down anywhere around the base.
+        """The home pose with the largest workspace; None if the tool cannot point down anywhere around the base.
 
         The search begins in front of the base, at the height and distance of the built-in arms. It goes on at other
-        distances and lower, and then to the sides, until the goals of the tasks have room.
+        distances, and only if there is hardly room at other heights and then to the sides.
         """
         height = min(HOME_HEIGHT, HOME_SHARE * self.length)
         lifts = [max(share * height, self.body.lowest + 0.03) for share in HEIGHTS]
         away = dict.fromkeys([min(0.5, 0.55 * self.length), *(self.length * np.array([0.55, 0.45, 0.65, 0.35]))])
         best: Place | None = None
         for direction, lift, distance in product((0.0, -pi / 2, pi / 2, pi), lifts, away):
-            if best is not None and best.room > (LITTLE if direction else ENOUGH):
+            if best is not None and best.room > (LEAST if direction or lift != lifts[0] else ENOUGH):
                 break
             for found in self._at((distance * cos(direction), distance * sin(direction), lift)):
                 if found.room > (MORE * best.room if best else 0.0):
@@ -143,7 +146,7 @@ class Poses:
         return float(self.chain.forward(self.rest.tolist()).axes[8])
 
     def at(self, home: Sequence[float], workspace: Box | None = None) -> Place:
-        """The place of a home pose that somebody knows, and of a workspace if that is known, too."""
+        """The place of a known home pose, with its workspace if that is known, too."""
         return self._around(tuple(home), workspace)
 
     def _at(self, target: Vector) -> Iterator[Place]:
@@ -155,7 +158,7 @@ class Poses:
         found: list[tuple[float, list[float], float]] = []
 
         def look(start: Array, yaw: float) -> None:
-            pose = self._solved(start, target, yaw, self.rest, 60)
+            pose = self._led(start, downward(target, yaw), self.rest, 60)
             if self._reaches(pose, target):
                 distance = float(np.minimum(pose - self.low, self.high - pose).min())
                 elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
@@ -170,7 +173,7 @@ class Poses:
         homes: list[Array] = []
         for _, pose, yaw in sorted(found, reverse=True):
             if all(np.abs(np.subtract(pose, other))[:-1].max() > DIFFERENT for other in homes):
-                homes.append(self._solved(np.array(pose), target, yaw, self.rest, 500))
+                homes.append(self._led(np.array(pose), downward(target, yaw), self.rest, 500))
         for home in homes[:CONFIGURATIONS]:
             yield self._around(tuple(round(float(one), 4) + 0.0 for one in home), None)
 
@@ -187,7 +190,7 @@ class Poses:
     def dexterous(self, place: Place) -> Box | None:
         """A part of the workspace, around home, in which the tool can be turned as an `ArmModel` says by default.
 
-        The first of some sizes in which it can be; None if it is too small.
+        The first of some sizes that fits; None if it is too small.
         """
         home, rest = self.chain.forward(place.home).tool, np.array(place.home)
         around = Orientations(home.orientation, ArmModel.tilt, ArmModel.turn)
@@ -215,25 +218,24 @@ class Poses:
             found.append(place + points @ turn.T)
         return found
 
-    def pairs(self, place: Place, base: Array) -> list[tuple[int, int]]:
-        """Pairs of links that can collide: one of the last three, and one that is not next to it; -1 is the base.
+    def pairs(self, poses: Iterable[Sequence[float]]) -> list[tuple[int, int]]:
+        """Pairs of links that are apart in all of these poses, and can collide elsewhere; -1 is the base.
 
-        They are apart at home and at the corners of the workspace: shapes that are fatter than the links touch always.
-
-        Args:
-            place: the home pose and its workspace.
-            base: points (k, 3) that span the base's shapes, in its frame.
+        One of them is among the last three, and they are not next to each other. Shapes that are fatter than the links
+        touch always.
         """
-        *others, hand = self.body.shapes
-        shapes = [*others, np.vstack([hand, self.body.fingers])]
-        poses = [[*self._links(pose, shapes), base + self.chain.base] for pose in place.corners]
         last = len(self._joints) - 1
-        between = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]
-        return [(a, b) for a, b in between if all(_apart(links[a], links[b]) for links in poses)]
+        found = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]
+        for pose in poses:
+            found = self._apart(pose, found)
+        return found
 
-    def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
-        """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
-        return self._led(pose, downward(target, yaw), rest, steps)
+    def _apart(self, pose: Sequence[float], pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Those of some pairs of links that are apart in a pose."""
+        *others, hand = self.body.shapes
+        links = self._links(pose, [*others, np.vstack([hand, self.body.fingers])])
+        links.append(self.body.base + self.chain.base)
+        return [(a, b) for a, b in pairs if _apart(links[a], links[b])]
 
     def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
@@ -248,12 +250,12 @@ class Poses:
     def _walked(self, home: Sequence[float], target: Sequence[float]) -> tuple[Array, bool]:
         """The pose (n,) to which full actions of cartesian control lead the tool from home, and whether it is there.
 
-        A slow arm takes the same way in more of them.
+        A slow arm needs more actions for the same way.
         """
         start, usual = self.chain.forward(home).tool, self.usual_step
         yaw, slower = atan2(start.x[1], start.x[0]), usual / max(self._tool_step(np.array(home)), 1e-3)
         most = (self.speeds * PERIOD * max(1.0, slower)).tolist()
-        # Plain numbers: of seven joints they cost a third of what arrays do.
+        # Plain numbers: for seven joints they take a third of the time of arrays.
         low, high, joints = self.low.tolist(), self.high.tolist(), list(home)
         for _ in range(CONTROL_STEPS):
             at = self.chain.forward(joints)
@@ -270,9 +272,9 @@ class Poses:
         return pose, there and self._clear(pose)
 
     def _clear(self, pose: Array) -> bool:
-        """Whether all links but the first are above the floor, and those before the last three above objects on it.
+        """Whether all links except the first are above the floor, and those before the last three above objects on it.
 
-        Objects lie beyond half of the way from the base to the tool.
+        Objects are beyond half of the way from the base to the tool.
         """
         links = self._links(pose.tolist(), self.body.shapes)
         if min(points[:, 2].min(initial=np.inf) for points in links[1:]) < CLEARANCE:
@@ -305,12 +307,12 @@ class Poses:
         return np.array([[-ahead, -across, min(0.0, self.body.lowest - start[2])], [ahead, across, up]])
 
     def _workspace(self, home: Sequence[float]) -> Box:
-        """A box around home to which actions bring the tool, down to the floor if the arm gets there below home.
+        """A box around home that actions reach with the tool, down to the floor if the arm gets there below home.
 
-        Its faces grow one after the other as long as actions bring the tool to their corners and the centres of
-        them and their edges.
+        No link that is apart from another at home touches it there. Its faces grow one after the other as long as
+        actions bring the tool to their corners and the centres of them and their edges.
         """
-        start = np.array(self.chain.forward(home).tool.position)
+        start, pairs = np.array(self.chain.forward(home).tool.position), self.pairs([home])
         most = self._largest(start)
         size = np.zeros((2, 3))
         for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
@@ -323,7 +325,8 @@ class Poses:
                     for sides in product((0.0, 1.0, 0.5), repeat=3):
                         if reached and sides[axis] == side:
                             place = start + larger[0] + np.array(sides) * (larger[1] - larger[0])
-                            reached = self._walked(home, place.tolist())[1]
+                            pose, reached = self._walked(home, place.tolist())
+                            reached = reached and self._apart(pose.tolist(), pairs) == pairs
                     if reached and most[side, axis]:
                         size = larger
                     else:
@@ -346,13 +349,13 @@ RAYS = _rays(100)
 
 
 def spanning(points: Array) -> Array:
-    """The points (k, 3) of these that lie furthest in some directions."""
+    """Those of the points (k, 3) that lie furthest in some directions."""
     found: Array = points[np.unique((points @ RAYS.T).argmax(0))] if len(points) else points
     return found
 
 
 def _apart(one: Array, other: Array) -> bool:
-    """Whether a plane separates two sets of points by `APART`, as far as some directions tell; not an empty one."""
+    """Whether a plane separates two non-empty sets of points by `APART`. Only some directions are tried."""
     if not (len(one) and len(other)):
         return False
     way = other.mean(0) - one.mean(0)

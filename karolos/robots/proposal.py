@@ -1,4 +1,4 @@
-"""The model of an arm, proposed from somebody's URDF: what the file does not say is computed, and noted as assumed."""
+"""Proposes the model of an arm from a URDF. Missing facts are computed, and noted as assumptions."""
 
 from __future__ import annotations
 
@@ -31,63 +31,63 @@ from .grippers.parallel import GripperModel
 from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange
 from .mounting import mounted
-from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
+from .poses import ENOUGH, LEAST, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
 from .settings import ArmSettings
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
-"""Joints of these names are not of the arm."""
+"""Names of joints that do not belong to the arm."""
 HAND_NAMES = re.compile(rf"{GRIPPER_NAMES.pattern}|hand|palm|robotiq", re.IGNORECASE)
-"""Links of these names beyond the last joint are of a hand."""
+"""Names of links beyond the last joint that belong to a hand."""
 FLANGE_NAMES = tuple(
     re.compile(pattern, re.IGNORECASE) for pattern in (r"flange|tool0|attach", r"tool|(^|_)ee(_|$)|end_?eff")
 )
-"""Frames that are taken for the flange, the best first."""
+"""Names of frames that may be the flange, the best first."""
 TOOL_NAMES = tuple(
     re.compile(pattern, re.IGNORECASE)
     for pattern in (r"grasp|tcp|tool_?cent|tool_?point", r"tool|(^|_)ee(_|f|$)|end_?eff", r"flange")
 )
-"""Frames that are taken for the tool, the best first."""
+"""Names of frames that may be the tool, the best first."""
 PARALLEL = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
 DOUBTED_SPEED, DOUBTED_ANGLE, DOUBTED_TRAVEL = 2 * pi, 4 * pi, 2.0
-"""Speed in rad/s, angle in rad, and speed in m/s or way in m of a slide, from which a joint's limit is doubted."""
+"""Largest plausible limits of joints: speed in rad/s, angle in rad, speed in m/s or range in m of a slide."""
 SLOW = 0.4
-"""Speed in rad/s below which it is doubted."""
+"""Smallest plausible speed in rad/s."""
 DOUBTED_MASS, DOUBTED_RADII, DOUBTED_LENGTH = 500.0, (0.001, 1.0), 3.0
-"""Mass of a link in kg, least and largest radius of gyration of a link in m, and length of an arm in m."""
+"""Largest mass of a link in kg, smallest and largest radius of gyration in m, largest length of an arm in m."""
 DOUBTED_DENSITY = 3.0, 200.0
-"""Least and largest mass of an arm by the square of its length, in kg/m2: a VX300s has 4, a UR5 16, a KR210 107."""
+"""Smallest and largest mass of an arm per square of its length, in kg/m2: a VX300s has 4, a UR5 16, a KR210 107."""
 DOUBTED_WEIGHT = 0.7
-"""Fraction of a motor's torque from which holding the arm's own weight is doubted."""
+"""Fraction of a motor's torque for the arm's own weight that causes a doubt if larger."""
 SHOULDERS = (0.3, 0.6)
-"""Heights of the second joint above a table, by the arm's length: of one that stands, and of one that hangs."""
+"""Heights of the second joint above a table, per length of the arm: standing, and hanging."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
 USUAL_STEP: float = ArmSettings.model_fields["tool_step"].default
-"""m"""
+"""Length in m."""
 HIDDEN_DEPTH = 0.01
-"""Length in m by which shapes may stick out beyond a tool frame or a flange that is named in the file."""
+"""Length in m by which shapes may extend beyond a tool frame or flange that the file names."""
 FLOOR_CLEARANCE, LOWEST = 0.005, 0.02
 """Height in m of the tips of a gripper above the floor, at its lowest, and of a tool without a gripper."""
 
 
 @dataclass(frozen=True)
 class Known:
-    """What a person knows better than a URDF and this module."""
+    """Facts from a person, which replace those of the URDF and of this module."""
 
     tool: str | None = None
-    """The link of the tool frame, z forwards."""
+    """Link of the tool frame, with z forwards."""
     flange: str | None = None
-    """The link on which a gripper is mounted, z away from the arm."""
+    """Link on which a gripper is mounted, with z away from the arm."""
     flange_yaw: float | None = None
-    """How far a gripper is turned about the flange's z, in rad."""
+    """Turn of a gripper about the flange's z, in rad."""
     home: tuple[float, ...] | None = None
-    """Joint positions in rad with the tool pointing down."""
+    """Joint positions in rad in which the tool points down."""
     workspace: Box | None = None
     payload: float | None = None
-    """In kg."""
+    """Payload in kg."""
     tool_speed: float | None = None
-    """In m/s."""
+    """Largest speed of the tool in m/s."""
 
 
 NOTHING = Known()
@@ -95,15 +95,15 @@ NOTHING = Known()
 
 @dataclass(frozen=True)
 class Proposal:
-    """A model for a URDF, and in words what was assumed."""
+    """A model for a URDF, with its assumptions in words."""
 
     model: ArmModel
     summary: str
     notes: tuple[str, ...]
-    """What was assumed, one line each."""
+    """Assumptions, one line each."""
 
     def code(self) -> dict[str, str]:
-        """What the templates of a starter package say of this robot. Texts from the URDF are Python literals."""
+        """Values for the templates of a starter package. Texts from the URDF are Python literals."""
         model = self.model
         given = [one for one in fields(model) if one.name != "urdf" and getattr(model, one.name)]
         lines = "\n".join(f"{one.name}={pformat(getattr(model, one.name), width=100)}," for one in given)
@@ -124,8 +124,8 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
 
     Args:
         path: of the file.
-        gripper: is mounted at the arm's flange, where the file's own hand ends; None: the hand in the file, or none.
-        known: what need not be assumed.
+        gripper: replaces the file's own hand at the arm's flange; None: the hand in the file, if any.
+        known: facts that need not be assumed.
 
     Raises:
         PluginError: the file is not a robot that karolos can simulate, or not an arm that can point its tool down. The
@@ -226,11 +226,11 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
 def _read(
     path: Path, known: Known, *, cut: bool
 ) -> tuple[urdf.Description, dict[str, float], list[str], dict[str, tuple[Array, Array]]]:
-    """What is simulated of a file, the joints that are held at a position, all that do not move, and `_hand_joints`.
+    """The simulated part of a file, the joints held at a position, all fixed joints, and `_hand_joints`.
 
     Args:
         path: of the file.
-        known: names that need not be found.
+        known: names that need no search.
         cut: whether to leave out the file's own hand.
     """
     loose = urdf.load(path, strict=False)
@@ -255,13 +255,13 @@ def _read(
 
 
 class _Site:
-    """Where an arm works with the hand or the gripper that it has.
+    """Home and workspace of an arm with its hand or gripper.
 
     Args:
-        model: all but home, workspace and what follows from them.
-        hand: the file's own.
-        robot: what is simulated of the file.
-        known: what need not be looked for.
+        model: complete except for home, workspace and what follows from them.
+        hand: the file's own hand.
+        robot: the simulated part of the file.
+        known: facts that need no search.
     """
 
     def __init__(self, model: ArmModel, hand: _Hand, robot: Element, known: Known) -> None:
@@ -280,22 +280,23 @@ class _Site:
             lowest = FLOOR_CLEARANCE + max(float(((pads - tool[0]) @ turn[:, 2]).max()), 2 * FLOOR_CLEARANCE)
         x, y, _ = (turn.T @ across).tolist()
         shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
-        body = Outline(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
-        self.base = spanning(points_of(robot, joints[0].parent))
+        base = spanning(points_of(robot, joints[0].parent))
+        body = Outline(shapes, spanning(pads), base, lowest, (x, y) if across.any() else None)
         self._made = joints, tool, body, USUAL_STEP
         self.poses, self.floor = Poses(*self._made), 0.0
 
     @cached_property
     def place(self) -> Place | None:
-        """Home and workspace above the floor; None where the tool cannot point down.
+        """Home and workspace above the floor; None if the tool cannot point down.
 
-        An arm that has little room on the floor at its base stands higher or lower than the table that it works on.
+        An arm that has hardly any room in front of its base stands higher or lower than the table that it works on.
         """
         home, workspace = self._known.home, self._known.workspace
         if home is not None:
             return self.poses.at(home, workspace)
         found, first = self.poses.best(), self.poses
-        for share in SHOULDERS if found is None or found.room < LITTLE else ():
+        ahead = found is not None and found.room > LEAST and found.tool[0] > abs(found.tool[1])
+        for share in () if ahead else SHOULDERS:
             floor = round(first.shoulder - share * first.length, 2)
             poses = Poses(*self._made, floor)
             other = poses.best()
@@ -305,17 +306,17 @@ class _Site:
 
     @property
     def room(self) -> float:
-        """As `Place.room`; 0 without a place."""
+        """`Place.room`; 0 without a place."""
         return self.place.room if self.place is not None else 0.0
 
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of links that can collide, see `Poses.pairs`."""
-        return self.poses.pairs(self.place, self.base) if self.place is not None else []
+        return self.poses.pairs(self.place.corners) if self.place is not None else []
 
 
 def doubts(found: urdf.Description) -> list[str]:
-    """What the numbers of a URDF make one doubt, each in one line: units that are mixed up, and placeholders."""
+    """Doubts about the numbers of a URDF, one line each: wrong units and placeholders."""
     said: dict[str, list[str]] = defaultdict(list)
     for joint in found.joints:
         unit, most, fast, meant = "m", DOUBTED_TRAVEL, DOUBTED_TRAVEL, "millimetres"
@@ -349,7 +350,7 @@ def doubts(found: urdf.Description) -> list[str]:
 
 
 def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str], tuple[str, ...]]:
-    """What the template of a gripper says of this URDF, and what was assumed.
+    """Values for the template of a gripper from this URDF, and the assumptions.
 
     Args:
         path: of the file. Its base is mounted on the flange, z away from the arm.
@@ -399,7 +400,7 @@ def _vector(values: Sequence[float] | Array) -> Vector:
 
 
 def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
-    """The turning joints from the base to the wrist: above the tool, or of the longest chain."""
+    """The turning joints from the base to the wrist: those before the tool, or those of the longest chain."""
     joints, above = {joint.name: joint for joint in found.joints}, {joint.child: joint for joint in found.joints}
     leaders = {joint.mimic for joint in found.joints}
 
@@ -433,7 +434,7 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
             raise PluginError(what, where=f"{path}: joint {name}")
     if len(arm) < 5:
         raise PluginError(
-            f"an arm of {len(arm)} turning joints ({', '.join(arm) or 'none'})",
+            f"the arm has only {len(arm)} turning joints ({', '.join(arm) or 'none'})",
             where=str(path),
             hint="with five or more it can point its tool down at any place; --tool LINK chooses its end",
         )
@@ -441,9 +442,9 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
 
 
 def _hand_joints(path: Path, link: str) -> dict[str, tuple[Array, Array]]:
-    """The joints that carry a hand on an arm's last link: moving ones, or of such names; with their frames in it.
+    """The joints that carry a hand on an arm's last link (moving ones, or with typical names), with their frames in it.
 
-    The rotation (3, 3) of a joint that moves is 0: it does not say where the hand points.
+    The rotation (3, 3) of a moving joint is 0, because it does not say where the hand points.
     """
     below, found = urdf.read(path).findall("joint"), dict[str, tuple[Array, Array]]()
     reached = [(link, np.zeros(3), np.eye(3))]
@@ -464,18 +465,14 @@ def _hand_joints(path: Path, link: str) -> dict[str, tuple[Array, Array]]:
 def _flanges(
     found: urdf.Description, last: Joint, beyond: dict[str, tuple[Array, Array]], hand: _Hand, known: Known
 ) -> list[tuple[Flange, str]]:
-    """Where a gripper can be mounted, and notes: as it comes, and turned by pi/2 unless somebody knows how.
+    """Places for a gripper, with notes: as it is, and turned by pi/2 unless the turn is known.
 
-    It is at the frame that the user named, or one of a usual name, or where the file's own hand begins, or at the end
-    of the last link along its joint's axis. Where shapes stick out there, it is at their end.
+    The place is the frame that the user named, a frame with a usual name, the beginning of the file's own hand, or the
+    end of the last link along its joint's axis. If shapes extend beyond it, the place is at their end.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in FLANGE_NAMES for one in frames if like.search(one) and one != last.child)
-    usual = {one: None for one in usual if not HAND_NAMES.search(one)}
+    usual = [one for one in _frames_like(found, last, FLANGE_NAMES) if not HAND_NAMES.search(one)]
     name = known.flange or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
-    axis, (place, turn) = np.array(last.axis), frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    axis, (place, turn) = np.array(last.axis), _frame_of(found, last, name)
     shapes, what = points_of(found.robot, last.child), f"the frame {name}"
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     ends = (shapes.min(0, initial=0.0) + shapes.max(0, initial=0.0)) / 2
@@ -496,13 +493,26 @@ def _flanges(
     return [(Flange(last.child, where, rpy), note) for rpy in made]
 
 
+def _frames_like(found: urdf.Description, last: Joint, names: Sequence[re.Pattern[str]]) -> list[str]:
+    """The frames on the last link of such names, the best first."""
+    frames = [name for name, one in found.carriers.items() if one == last.child != name]
+    return list(dict.fromkeys(one for like in names for one in frames if like.search(one)))
+
+
+def _frame_of(found: urdf.Description, last: Joint, name: str | None) -> tuple[Array, Array]:
+    """Position (3,) and rotation (3, 3) of a frame on the last link; None: of the link itself."""
+    if name is not None and found.carriers.get(name) != last.child:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
+    return found.frames[name] if name is not None else (np.zeros(3), np.eye(3))
+
+
 def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: bool) -> Array:
-    """The direction (3,) in which a tool sticks out of the last link.
+    """The direction (3,) in which a tool extends from the last link.
 
     Args:
-        turn: rotation (3, 3) of a frame that is named; None: no frame is.
-        axis: of the last joint. The tool sticks out along it, unless the frame is sure.
-        hints: points and directions (3,) of what lies ahead, the best first.
+        turn: rotation (3, 3) of a named frame; None: no frame is named.
+        axis: of the last joint. The tool extends along it, unless the frame is sure.
+        hints: points and directions (3,) ahead of the tool, the best first.
         sure: whether a person named the frame.
     """
     if turn is not None and (sure or abs(turn[:, 2] @ axis) >= PARALLEL):
@@ -513,7 +523,7 @@ def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: 
 
 
 def _frame(turn: Array, approach: Array, across: Array) -> Array:
-    """A rotation (3, 3) with z along the approach, and y along that of the fingers, or x like another rotation's."""
+    """A rotation (3, 3) with z along the approach, and y along the fingers' way or x as in another rotation."""
     x = min(turn.T, key=lambda column: abs(float(column @ approach)))
     x = np.cross(across, approach) if across.any() else x - (x @ approach) * approach
     x = x / np.linalg.norm(x)
@@ -565,15 +575,12 @@ def _hand(found: urdf.Description, pair: Sequence[Joint]) -> _Hand:
 def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: str | None) -> tuple[Array, Array, str]:
     """Position and rotation of the tool in the frame of the last link, z along the direction of approach, and a note.
 
-    It is the frame that the user named, or one of a usual name that lies between the fingers; else the tips of the
-    fingers, or the end of the last link along its joint's axis.
+    It is the frame that the user named, or a frame with a usual name between the fingers. Otherwise it is at the tips
+    of the fingers, or at the end of the last link along its joint's axis.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
+    usual = _frames_like(found, last, TOOL_NAMES)
     name = named or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"{path}: link {name}")
-    place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    place, turn = _frame_of(found, last, name)
     tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))
@@ -612,7 +619,7 @@ def points_of(robot: Element, link: str) -> Array:
 
 
 def _points_moved(robot: Element, joint: Joint) -> Array:
-    """The same of the link that a joint at 0 carries, in the frame of the link before."""
+    """The same for the link after a joint at 0, in the frame of the link before it."""
     moved: Array = points_of(robot, joint.child) @ np.transpose(joint.rotation) + joint.origin
     return moved
 
@@ -633,11 +640,11 @@ def _corners(shape: Element) -> Array:
 
 
 def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
-    """A URDF whose meshes are in the folder `meshes` beside it, and the files to copy there by their new names."""
+    """A URDF with its meshes in the folder `meshes` next to it, and the files to copy there, by their new names."""
     text, files, robot = urdf.text_of(path), dict[str, Path](), urdf.read(path)
     for shape in [one for link in robot.iter("link") for one in link.findall("visual")]:
         if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in shape.iter("mesh")):
-            shape.clear()  # such a link is drawn as it collides
+            shape.clear()  # then the link is drawn by its collision shapes
     for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in robot.iter("mesh")})):
         mesh = find_named(name, path.parent)
         if mesh is not None and mesh.suffix.lower() in MESH_SUFFIXES:

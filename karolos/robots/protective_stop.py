@@ -1,7 +1,7 @@
 """The protective stop of a cobot: limits of force and torque beyond which it stops.
 
-Universal Robots limit the force of the tool, in the default of the safety configuration to 150 N, and need up to .25 s
-to notice a violation (manual of UR5/CB3, "General limits", "Limiting safety-related functions"). ISO/TS 15066 allows
+Universal Robots limit the force of the tool, by default to 150 N (safety configuration), and need up to .25 s to notice
+a violation (manual of UR5/CB3, "General limits", "Limiting safety-related functions"). ISO/TS 15066 allows
 140 N for a lasting contact with hand and fingers, and twice that for a transient one. Franka Emika leave the thresholds
 of forces and joint torques to the user (libfranka, `setCollisionBehavior`).
 """
@@ -15,20 +15,20 @@ from pydantic import Field as Setting
 from ..core import Settings
 
 TORQUE_TOLERANCE = 0.999
-"""Fraction of a torque from which a motor counts as having it."""
+"""Fraction of a torque above which a motor counts as using all of it."""
 
 
 class ProtectiveStop(Settings):
     """Limits beyond which an arm stops."""
 
     force: float | None = Setting(
-        150.0, gt=0, description="largest force of a body or another link on a link in a physics step, N; null: any"
+        150.0, gt=0, description="largest force of a body or another link on a link in a physics step, N; null: off"
     )
     torque: float | None = Setting(
-        1.0, gt=0, le=1, description="fraction of its largest torque that no motor needs for `seconds`; null: any"
+        1.0, gt=0, le=1, description="largest torque of a motor for `seconds`, as a fraction of its limit; null: off"
     )
-    seconds: float = Setting(0.25, gt=0, le=10, description="for how long a motor has that torque before the arm stops")
-    ends: bool = Setting(True, description="whether a stop ends the episode without success; false: it is counted")
+    seconds: float = Setting(0.25, gt=0, le=10, description="time with more than that torque after which the arm stops")
+    ends: bool = Setting(True, description="whether a stop ends the episode without success; false: it is only counted")
 
 
 class Guard:
@@ -41,7 +41,7 @@ class Guard:
 
     Attributes:
         available: fraction of each largest torque that friction leaves to the motor.
-        stops: how often a limit was exceeded since the reset; a lasting excess counts once.
+        stops: number of times that a limit was exceeded since the reset; a lasting excess counts once.
         stopped: whether a stop has ended the episode.
     """
 
@@ -58,7 +58,7 @@ class Guard:
         self.stops, self.stopped = 0, False
         self._exceeded = False
         self._steps = [0] * len(self._torques)
-        """Control steps in a row in which each motor had the torque."""
+        """Number of consecutive control steps in which each motor used the torque."""
 
     def watch(self, forces: Mapping[tuple[int, int], float], torques: Sequence[float]) -> None:
         """Compare with the limits: forces in N as `World.forces` gives them, torques (n,) of the motors in N m."""

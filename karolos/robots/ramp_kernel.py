@@ -1,4 +1,4 @@
-"""Ramps of joint speeds in compiled code. `ramps` says what they are."""
+"""Ramps of joint speeds in compiled code. `ramps` explains them."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from ..simulation.arm_kernel import forward, velocity
 
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.
-Further away its speed at the end of a step is one from which half of its acceleration then stops it."""
+Further away, its speed at the end of a step is limited so that half of its acceleration can stop it."""
 REFERENCE_LAG = 0.01
-"""Largest distance, in rad, of the reference from its joint. It bounds what an arm that is held back accumulates."""
+"""Largest distance, in rad, of the reference from its joint. It limits the error that a blocked arm accumulates."""
 SPEED_SHARE = 0.97
-"""Fraction of a joint's largest speed at which it moves steadily. The rest is for the correction of its reference."""
+"""Fraction of a joint's largest speed in steady motion. The rest is for the correction of its reference."""
 SLOW_TOOL = 0.8
-"""Fraction of that speed below which the tool's speed, with the present pose, needs no closer look."""
+"""Fraction of that speed below which the tool's speed at the present pose needs no exact check."""
 SCALINGS = 4
-"""Largest number of times that a ramp is scaled down. Once does not suffice where accelerations limit the braking."""
+"""Largest number of times that a ramp is scaled down. Once is not enough if accelerations limit the braking."""
 
 
 @compiled
 def _approach(room, before, acceleration, period):
-    """Largest speed in rad/s, after a step from the speed `before`, towards the end of a range, `room` rad away."""
+    """Largest speed in rad/s after a step from the speed `before`, towards a range's end that is `room` rad away."""
     speed, mean = room / BRAKING_TIME, acceleration * period / 4
     left = acceleration * (room - before * period / 2)  # w^2 = acceleration (room - (before + w) / 2 period)
     return min(speed, sqrt(mean * mean + left) - mean if left > 0 else 0.0) if room > 0 else speed
@@ -39,7 +39,7 @@ def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
         bounds: (n, 5): lowest and highest position, largest speed and acceleration, time in which it brakes.
         state: references in rad and speeds in rad/s (2, n); written.
         motion: positions, velocities and wanted changes of the joints (3, n).
-        most: largest speed of the tool in m/s; inf: none.
+        most: largest speed of the tool in m/s; inf: no limit.
         base, links: of the chain, as in `forward`.
         numbers: of the chain at the positions.
     """
@@ -83,7 +83,7 @@ def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
         for j in range(n):
             rise = bounds[j, 3] * period
             slowed[j] = min(max(share * ends[j], motion[1, j] - rise), motion[1, j] + rise)
-    if share < 1:  # nothing is made up for later
+    if share < 1:  # nothing is caught up later
         for j in range(n):
             state[0, j] = motion[0, j] + period / 2 * (motion[1, j] + slowed[j])
             state[1, j] = ends[j] = slowed[j]

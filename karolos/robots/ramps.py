@@ -1,4 +1,4 @@
-"""From changes of joint positions to ramps of joint speeds, within the limits of the joints and of the tool."""
+"""Turns changes of joint positions into ramps of joint speeds, within the limits of the joints and of the tool."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from ..simulation.interface import JointLimits
 from ..simulation.kinematics import Chain, Configuration
 
 ACCELERATION_TIME = 1 / 24
-"""Seconds in which a joint changes its speed by its largest speed, where no maker's acceleration counts."""
+"""Seconds in which a joint changes its speed by its largest speed, if no acceleration of the data sheet is used."""
 TOOL_SPEED_SHARE = 0.98
-"""Fraction of the tool's largest speed at the end of a control step. The rest is for what happens inside."""
+"""Fraction of the tool's largest speed at the end of a control step. The rest is for the motion inside the step."""
 NONE = np.zeros(0)
-"""Where there is no tool."""
+"""Placeholder for an arm without a tool."""
 
 
 class Ramps:
@@ -31,13 +31,13 @@ class Ramps:
 
     x and v are the joint's position and speed, T is the period. The mean of a ramp times T is the distance that it
     moves the joint. The correction c removes half of the distance between joint and reference.
-    All joints take the same share k of their changes of speed: limited one by one, their motion would leave its
-    direction, and actions that alternate could move a tool to where nobody sends it.
+    All joints take the same share k of their changes of speed. With separate limits the motion would leave its
+    direction, and alternating actions could move the tool somewhere else.
     A joint that follows its ramps moves by exactly d per step in steady motion, without loss at low speeds. A joint
     with d = 0 stays at its reference under any load that its torque can hold.
 
-    Where the tool would be too fast at the end of the step, by forward kinematics, all ramps' ends are scaled down
-    alike, and the references are where that leads.
+    If the tool would be too fast at the end of the step, by forward kinematics, all ramps' ends are scaled down by the
+    same factor, and the references follow.
 
     Args:
         limits: of the joints.
@@ -53,7 +53,7 @@ class Ramps:
         accelerations: Sequence[float],
         tool: tuple[Chain, float] | None = None,
     ) -> None:
-        self._kernel = import_module(".ramp_kernel", __package__)  # heavy, so not before an arm is built
+        self._kernel = import_module(".ramp_kernel", __package__)  # heavy, so it is imported when an arm is built
         self._period = period
         self._tool = tool
         self._state = np.zeros((2, len(accelerations)))

@@ -1,4 +1,4 @@
-"""Arms that nobody built: families of real ones, with lengths, limits, speeds, masses and torques drawn by a number."""
+"""Random arms: families of real arms, with lengths, limits, speeds, masses and torques sampled by a number."""
 
 from __future__ import annotations
 
@@ -28,28 +28,29 @@ from .repair import Repair
 from .settings import ArmSettings
 
 SCALE, OTHERWISE = (0.6, 1.5), (0.8, 1.2)
-"""Size of an arm by that of a UR5, and how its lengths differ from those of its family at this size."""
+"""Size of an arm relative to a UR5, and variation of its lengths relative to its family at this size."""
 SPEED, LIMIT = (1.6, 4.0), (2.0, 3.1)
-"""Speed of a joint in rad/s, and how far it turns to each side in rad."""
+"""Speed of a joint in rad/s, and its range to each side in rad."""
 DENSITY, STRENGTH = (12.0, 45.0), (0.8, 1.8)
-"""Mass of an arm by the square of its length in kg/m2, and torques by three times what holds it stretched out."""
+"""Mass of an arm per square of its length in kg/m2, and torques relative to three times the torque that holds it
+stretched out."""
 GRIPPERS = "robotiq_2f85", "franka_hand"
-"""What arms carry if the spec does not say."""
+"""Gripper of the arms if the spec names none."""
 ROOM, SLOWEST = (0.12, 0.2, 0.15), 0.01
-"""Least edges of a workspace in m, and least way of the tool in a control step in m, of an arm that is taken."""
+"""Smallest edges of the workspace and smallest step of the tool, in m, of an accepted arm."""
 ATTEMPTS = 40
-"""How many arms are drawn until one can work."""
+"""Number of arms that are sampled until one can work."""
 BULK = 0.07
-"""Radius of a link by the length of the arm."""
+"""Radius of a link per length of the arm."""
 X, Y, Z = (1, 0, 0), (0, 1, 0), (0, 0, 1)
 
 
 class ArmSegment(NamedTuple):
-    """A joint of an arm of a UR5's size, and how its link goes on, with all joints at 0."""
+    """A joint of an arm with a UR5's size, and the way of its link with all joints at 0."""
 
     axis: tuple[int, int, int]
     way: Vector
-    """From this joint to the next, or to the flange, in m, along the axes of the base."""
+    """Vector from this joint to the next, or to the flange, in m, along the axes of the base."""
 
 
 FAMILIES: dict[str, tuple[tuple[int, int, int], tuple[ArmSegment, ...]]] = {
@@ -92,16 +93,16 @@ FAMILIES: dict[str, tuple[tuple[int, int, int], tuple[ArmSegment, ...]]] = {
 
 
 class RandomArm(Arm):
-    """An arm drawn from three families, to train policies that know no arm: `arm` says which.
+    """An arm sampled from three families, to train policies that do not depend on the arm. `arm` is its number.
 
-    Training draws it in each episode: `randomization: {robot.arm: {name: choice, values: [0, 1, 2, 3]}}`. Each value is
-    a world in each environment. Home, workspace and accelerations are those that an arm from a file would have.
+    Training can sample it per episode: `randomization: {robot.arm: {name: choice, values: [0, 1, 2, 3]}}`. Each value
+    needs a world in each environment. Home, workspace and accelerations are computed as for an arm from a file.
     """
 
     class Settings(ArmSettings):
         """The settings of every arm, and its number."""
 
-        arm: int = Setting(ge=0, le=1_000_000, description="which arm; each number is another one")
+        arm: int = Setting(ge=0, le=1_000_000, description="number of the arm; each number gives another arm")
 
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:
@@ -134,7 +135,7 @@ def _model(arm: int, gripper: str | None) -> ArmModel:
         if model is not None and _works(model):
             return model
         write_whole(refused, "", durable=False)
-    raise PluginError(f"none of {ATTEMPTS} arms can work", setting="robot.arm", hint="choose another number")
+    raise PluginError(f"none of {ATTEMPTS} sampled arms can work", setting="robot.arm", hint="choose another number")
 
 
 def _draws(arm: int) -> Iterator[Generator]:
@@ -148,7 +149,7 @@ def _works(model: ArmModel) -> bool:
 
 
 def _write(path: Path, draws: Generator) -> None:
-    """Draw an arm and write its URDF."""
+    """Sample an arm and write its URDF."""
     family = list(FAMILIES)[int(draws.integers(len(FAMILIES)))]
     facing, pieces = FAMILIES[family]
     scale = draws.uniform(*SCALE)
@@ -179,7 +180,7 @@ def _write(path: Path, draws: Generator) -> None:
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
     write_whole(path, ElementTree.tostring(robot, "unicode"), durable=False)
-    repair = Repair(path, float(draws.uniform(*DENSITY)) * length**2)  # masses by volume, torques by what they need
+    repair = Repair(path, float(draws.uniform(*DENSITY)) * length**2)  # masses by volume, torques by the needed ones
     assert repair.robot is not None
     strength = draws.uniform(*STRENGTH)
     for limit in repair.robot.iter("limit"):
@@ -188,7 +189,7 @@ def _write(path: Path, draws: Generator) -> None:
 
 
 def _link(name: str, way: Array, radius: float) -> Element:
-    """A link along its way, thinner where the way is short."""
+    """A link along its way, thinner if the way is short."""
     size = float(np.linalg.norm(way))
     axis = way / size
     side = np.eye(3)[np.abs(axis).argmin()]

@@ -1,4 +1,4 @@
-"""Everything that keeps a URDF from being an arm, at once, and what arithmetic makes of it in a copy."""
+"""Finds everything that prevents the use of a URDF as an arm, and repairs what arithmetic can repair in a copy."""
 
 from __future__ import annotations
 
@@ -24,45 +24,46 @@ from ..simulation.meshes import MESH_SUFFIXES, Solid, check_size, hull, triangle
 from .proposal import points_of
 
 DENSITY = 1500.0
-"""kg/m3 of the convex hulls of links whose mass nobody says; a UR5's are as dense."""
+"""Density in kg/m3 for the convex hulls of links without a mass, as for a UR5's links."""
 HELD = 3.0
-"""Largest torque of a motor whose torque nobody says, by that which holds the stretched arm."""
+"""Largest torque of a motor without a stated torque, relative to the torque that holds the stretched arm."""
 USUAL_SPEED, USUAL_SLIDE, USUAL_FORCE = 2.0, 0.1, 20.0
-"""Speed in rad/s and m/s of a joint whose speed nobody says, and force in N of a slide."""
+"""Speed in rad/s and m/s of a joint without a stated speed, and force in N of a slide."""
 GRAVITY = 9.81
 PAYLOAD, PAYLOAD_SHARE, PAYLOAD_ARM = 2.0, 1 / 15, 0.2
-"""What such an arm carries, at least: kg, and of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
-how far from its last joint in m."""
+"""Smallest payload of such an arm: kg, share of its own mass (data sheets: from 1/24, a Puma, to 1/2, an iiwa), and
+distance from its last joint in m."""
 MJCF = (".xml", ".mjcf")
 XACRO = "xmlns:xacro"
-"""Declares its prefix."""
+"""Declaration of its prefix."""
 _PREFIX = re.compile(r"</?(\w+):|\s(\w+):\w+\s*=")
+_MACRO = re.compile(r"<xacro:|\$[({]")
 _DECLARED = re.compile(r"\bxmlns:(\w+)\s*=")
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that keeps a file from being an arm."""
+    """A defect that prevents the use of a file as an arm."""
 
     where: str
     """File, line and element."""
     what: str
     change: str = ""
-    """What the repaired copy has instead; empty where nobody can know."""
+    """Value in the repaired copy; empty if it cannot be known."""
 
 
 class Repair:
-    """A file that is read as far as possible.
+    """A file that was read as far as possible.
 
     Attributes:
-        findings: what is wrong with it, in the order of the steps of the repair.
-        robot: the repaired copy; None where the file is no URDF at all. Its meshes have absolute names.
+        findings: its defects, in the order of the repair.
+        robot: the repaired copy; None if the file is not a URDF at all. Its meshes have absolute names.
 
     Args:
-        path: of the URDF, or of an MJCF file, of which a URDF is made.
+        path: of the URDF, or of an MJCF file, which is converted to a URDF.
         mass: of the whole arm in kg, as the data sheet says; None: unknown.
         limits: whether to repair the limits of the joints, too.
-        expand: whether to expand macros of xacro, whose expressions Python evaluates: only for files that one trusts.
+        expand: whether to expand macros of xacro. Python evaluates their expressions, so use it only for trusted files.
     """
 
     def __init__(self, path: Path, mass: float | None = None, *, limits: bool = True, expand: bool = False) -> None:
@@ -75,21 +76,21 @@ class Repair:
                 self.findings.append(Finding(str(path), "MJCF has no speeds of joints", change))
             else:
                 text = urdf.text_of(path)
-                if expand and XACRO in text:
+                if expand and XACRO in text and _MACRO.search(text):
                     text = _expanded(path)
                     change = "expanded with the values that the file gives"
                     self.findings.append(Finding(str(path), "macros of xacro", change))
                 text = self._declared(text)
-            urdf.load(path, strict=False, text=text)  # raises for what is no URDF, at its line
+            urdf.load(path, strict=False, text=text)  # raises an error at the line if it is not a URDF
             self.robot, self._lines = urdf.parse(path, text)
             self._repair(self.robot, mass, limits=limits)
         except PluginError as error:
             self.findings.append(Finding(error.where or str(path), error.what))
 
     def write(self, path: Path) -> None:
-        """Write the repaired copy; meshes are named from its folder. Raises PluginError, MachineError."""
+        """Write the repaired copy, with names of meshes relative to its folder. Raises PluginError, MachineError."""
         if self.robot is None:
-            raise PluginError("it is no URDF, which cannot be repaired", where=str(self.path))
+            raise PluginError("it is not a URDF and cannot be repaired", where=str(self.path))
         for mesh in self.robot.iter("mesh"):
             mesh.set("filename", os.path.relpath(mesh.get("filename", ""), path.absolute().parent).replace(os.sep, "/"))
         write_whole(path, self._text() + "\n")
@@ -145,7 +146,7 @@ class Repair:
                     link.remove(shape)
 
     def _unreadable(self, path: Path, mesh: Element) -> str:
-        """Why a mesh cannot be used; empty if it can. One in millimetres is scaled."""
+        """Why a mesh cannot be used; empty if it can. A mesh in millimetres is scaled."""
         if path.suffix.lower() not in MESH_SUFFIXES:
             return f"cannot read the mesh {path.name}: meshes end in {', '.join(MESH_SUFFIXES)}"
         try:
@@ -156,7 +157,7 @@ class Repair:
         return ""
 
     def _nearby(self, name: str) -> Path | None:
-        """The only file of this name in the folders around the URDF; None if there is none, or several."""
+        """The only file of this name in the folders around the URDF; None if there is none or more than one."""
         base, around = name.replace("\\", "/").rpartition("/")[2], self.path.absolute().parent
         for folder in (around, around.parent, around.parent.parent):
             found = sorted(one for one in folder.rglob(base) if one.is_file()) if base else []
@@ -165,7 +166,7 @@ class Repair:
         return None
 
     def _weigh(self, robot: Element, loose: urdf.Description, mass: float | None) -> None:
-        """Give links that move the masses and inertias that they lack, and the arm its whole mass."""
+        """Give moving links their missing masses and inertias, and the arm its whole mass."""
         links = {one.get("name", ""): one for one in robot.findall("link")}
         carried = {joint.child for joint in loose.joints}
         known = {one.get("name", ""): urdf.inertia_of(one) for one in loose.robot.findall("link")}
@@ -196,7 +197,7 @@ class Repair:
                 one.attrib.update({key: repr(float(value) * mass / there) for key, value in one.attrib.items()})
 
     def _limit(self, element: Element, joint: urdf.Joint, loose: urdf.Description) -> None:
-        """Give a joint the limits that it lacks."""
+        """Give a joint its missing limits."""
         limit = element.find("limit")
         if limit is None:
             limit = SubElement(element, "limit")
@@ -214,7 +215,7 @@ class Repair:
             limit.set(key, f"{value:.6g}")
 
     def _held(self, joint: urdf.Joint, loose: urdf.Description) -> float:
-        """The torque in N m that holds what a joint carries, stretched out level with a payload."""
+        """The torque in N m that holds the load of a joint, stretched out horizontally with a payload."""
         assert self.robot is not None
         masses, total, furthest = (
             {one.get("name"): urdf.inertia_of(one) for one in self.robot.findall("link")},
@@ -234,7 +235,7 @@ class Repair:
 
 
 def _expanded(path: Path) -> str:
-    """The text of a URDF without macros of xacro. Raises PluginError if they need more than there is.
+    """The text of a URDF without macros of xacro. Raises PluginError if files or packages for them are missing.
 
     `$(find PACKAGE)` is the folder of this name in those above the file, as in a checkout, or else the file's own
     package.

@@ -9,6 +9,7 @@ from pydantic import Field as Setting
 from pydantic_core import PydanticCustomError
 
 from ..core import Settings
+from ..core.settings import LATER
 from ..errors import UsageError
 from ..randomization.randomization import Drawn
 from ..registry import find
@@ -29,21 +30,21 @@ Stiffness = Annotated[float, Setting(gt=0, le=5000)]
 class ArmSettings(Settings):
     """Settings of every arm.
 
-    Whatever the steps, motors ask for no speed beyond the data sheet's. A joint that a contact drives faster is
-    braked with the torque of its motor. The default of `tool_step` is a distance that every built-in arm covers in each
-    direction in steady motion.
+    Motors never ask for more speed than the data sheet allows, with any step. If a contact drives a joint faster, its
+    motor brakes it. The default of `tool_step` is a distance that every built-in arm covers in each direction in steady
+    motion.
     """
 
     gripper: Annotated[str, AfterValidator(_installed_gripper)] | None = Setting(
-        None, description="what is mounted at the flange: franka_hand, robotiq_2f85, vacuum, ...; null: the arm's own"
+        None, description="gripper at the flange: franka_hand, robotiq_2f85, vacuum, ...; null: the arm's own"
     )
     control: ControlMode | None = Setting(
         None,
-        description="what the action changes: joint positions; the position of a tool that points down (cartesian); "
-        "its whole pose (pose); that of a spring that moves the tool (impedance); null: as the task says",
+        description="what an action changes. joint: joint positions; cartesian: position of a tool that points down; "
+        "pose: pose of the tool; impedance: pose of a spring that moves the tool; null: as the task says",
     )
     joint_step: float = Setting(
-        0.5, gt=0, le=0.5, description="largest change of a joint per control step in rad; its speed may allow less"
+        0.5, gt=0, le=0.5, description="largest change of a joint per control step, rad; its speed may allow less"
     )
     tool_step: float = Setting(
         0.017,
@@ -53,75 +54,84 @@ class ArmSettings(Settings):
     )
     acceleration: Literal["sheet"] | None = Setting(
         "sheet",
-        description="sheet: the largest accelerations that the maker publishes, where one does (panda); null: a joint "
-        "changes its speed by its limit in 1/24 s at the most",
+        description="accelerations of the joints; sheet: the largest ones of the data sheet, if it has any (panda); "
+        "null: a joint needs at least 1/24 s to reach its speed limit",
     )
     tool_speed: float | None = Setting(
         None,
         gt=0,
-        description="largest speed of the tool centre point, m/s; null: the maker's (panda 1.7, ur5 1.5), or, "
-        "where no maker publishes one (iiwa), what the joints allow",
+        description="largest speed of the tool centre point, m/s; null: as the data sheet says (panda 1.7, ur5 1.5); "
+        "without such a value (iiwa) what the joints allow",
+    )
+    joint_slots: int | None = Setting(
+        None,
+        ge=1,
+        le=16,
+        json_schema_extra=LATER,
+        description="joint control, for one policy of many arms: observations and actions have places for so many "
+        "joints, 0 where the arm has fewer; it is observed how each joint moves the tool, and at home none moves it by "
+        "more than tool_step in a control step; null: the arm's own joints",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
-    yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step by yaw, rad")
+    yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
     turn_step: float = Setting(
-        0.1, gt=0, le=0.5, description="largest turn of the tool per control step by pose and impedance control, rad"
+        0.1, gt=0, le=0.5, description="largest turn of the tool per control step in pose and impedance control, rad"
     )
     frame: Literal["base", "tool"] = Setting(
-        "base", description="the axes along and about which pose and impedance actions move the tool"
+        "base", description="axes along and about which actions move the tool in pose and impedance control"
     )
     stiffness: Annotated[float, Drawn("N/m", 100.0, 2000.0)] = Setting(
-        800.0, gt=0, le=5000, description="of the spring of impedance control, N/m"
+        800.0, gt=0, le=5000, description="stiffness of the spring in impedance control, N/m"
     )
     turn_stiffness: Annotated[float, Drawn("N m/rad", 10.0, 150.0)] = Setting(
-        40.0, gt=0, le=300, description="of the same spring against turning, N m/rad"
+        40.0, gt=0, le=300, description="rotational stiffness of the same spring, N m/rad"
     )
     damping_ratio: Annotated[float, Drawn("1", 0.5, 2.0)] = Setting(
-        0.7, gt=0, le=5, description="of that spring; 1: just as much as keeps the tool from swinging"
+        0.7, gt=0, le=5, description="damping ratio of the spring; 1: critical damping, the tool does not swing"
     )
     error_limit: float = Setting(
-        0.02, gt=0, le=0.2, description="largest distance of the tool from its set point that the spring pulls for, m"
+        0.02, gt=0, le=0.2, description="largest distance between tool and set point that the spring uses, m"
     )
-    turn_error_limit: float = Setting(0.2, gt=0, le=1, description="the same of the rotation, rad")
+    turn_error_limit: float = Setting(0.2, gt=0, le=1, description="the same for the rotation, rad")
     stiffness_range: tuple[Stiffness, Stiffness] | None = Setting(
-        None, description="a further number of an impedance action chooses the stiffness in this range, N/m; null: none"
+        None, description="range of the stiffness that one more number of the action chooses, N/m; null: fixed"
     )
     reset_noise: float = Setting(
         0.02, ge=0, le=0.2, description="largest deviation of a joint from the home pose at a reset, rad"
     )
     observe: tuple[Literal["rotation", "wrench", "torques"], ...] = Setting(
         (),
-        description="what is observed besides: the tool's rotation (two columns of its matrix), the wrench at the "
+        description="additional observations: the tool's rotation (two columns of its matrix), the wrench at the "
         "wrist (in the tool's frame, N and N m), the torques of the joints (N m)",
     )
     wrench_filter: float = Setting(0.02, ge=0, le=1, description="time constant of the wrench's low-pass, s")
     base: Literal["origin", "centred"] = Setting(
         "origin",
-        description="what is at the origin of the world: the robot's base, or (centred) the middle of its workspace",
+        description="origin: the robot's base is at the origin of the world; centred: the middle of its workspace",
     )
     gripper_delay: Annotated[float, Drawn("s", 0.0, 0.1)] = Setting(
-        0.0, ge=0, le=0.5, description="seconds after which the gripper follows its command, rounded to a physics step"
+        0.0, ge=0, le=0.5, description="delay of the gripper after its command in seconds, rounded to a physics step"
     )
     protective_stop: ProtectiveStop | Literal["task"] | None = Setting(
         "task",
-        description="limits beyond which the arm stops, which ends the episode without success; task: as the task says "
-        "(throw, insert, reach_pose and tasks that do not say: the default limits; the others: off); null: off",
+        description="limits beyond which the arm stops and the episode ends without success; null: off; task: as the "
+        "task says (the default limits in throw, insert, reach_pose and tasks that do not say, else off)",
     )
     timed_release: bool = Setting(
         False,
-        description="whether a gripper that starts to open does so later in the control step the less it is told to "
-        "open; false: at the beginning of the step",
+        description="whether the opening command sets the moment in the control step at which the gripper opens: the "
+        "smaller the command, the later; false: at the beginning of the step",
     )
     finger_opening: float = Setting(
         0.0,
         ge=0,
         le=1,
-        description="how far a gripper that the task does not use stands open, up to 1; 0: closed, in slide half open",
+        description="opening of a gripper that the task does not use; 1: open; 0: closed (in slide: half open)",
     )
 
     @model_validator(mode="after")
     def _range_rises(self) -> Self:
         if self.stiffness_range is not None and not self.stiffness_range[0] < self.stiffness_range[1]:
             low, high = self.stiffness_range
-            raise ValueError(f"stiffness_range ends ({high:g}) not above where it begins ({low:g})")
+            raise ValueError(f"stiffness_range must be [smallest, largest], not [{low:g}, {high:g}]")
         return self

@@ -12,7 +12,7 @@ from .model import FINGERS, ArmModel, Flange
 
 
 class UR5(Arm):
-    """Six joints, reach .85 m, payload 5 kg, with a gripper of two fingers.
+    """Six joints, reach .85 m, payload 5 kg, with a two-finger gripper.
 
     Sources: Universal Robots' data sheet and Denavit-Hartenberg parameters, ur_description; see urdf/ur5.urdf.
     Universal Robots publishes torques, but no accelerations (ur_description, joint_limits.yaml). The safety
@@ -26,7 +26,7 @@ class UR5(Arm):
         dexterous=Box((0.37, -0.15, 0.04), (0.61, 0.15, 0.34)),
         tool_rpy=(-pi / 2, 0.0, 0.0),
         flange=Flange("wrist_3", (0.0, 0.0823, 0.0), (-pi / 2, 0.0, 0.0)),
-        gripper="robotiq_2f85",  # turned, the broader franka_hand meets the forearm
+        gripper="robotiq_2f85",  # the broader franka_hand touches the forearm when it turns
         payload=5.0,
         tool_speed=1.5,  # default of the safety configuration, "General limits"
         self_collisions=tuple(product(("wrist_1", "wrist_2", "wrist_3", FINGERS), ("base", "shoulder", "upper_arm")))

@@ -1,4 +1,4 @@
-"""The arithmetic of an arm in compiled code: kinematics and damped least squares. `kinematics` says what it means."""
+"""The arithmetic of an arm in compiled code: kinematics and damped least squares. `kinematics` explains it."""
 
 from __future__ import annotations
 

@@ -25,9 +25,9 @@ class PhysicsEngine(NamedTuple):
 
     name: Engine
     module: str
-    """That it needs."""
+    """Package that it needs."""
     package: str
-    """That it comes in."""
+    """Extra of karolos that installs it."""
     abilities: frozenset[Ability]
 
     @property
@@ -64,7 +64,7 @@ ENGINES: dict[Engine, PhysicsEngine] = {"mujoco": MUJOCO, "bullet": BULLET}
 
 
 def installed_one(wanted: Engine) -> Engine:
-    """The wanted engine; another one where it is not installed."""
+    """The wanted engine; another one if it is not installed."""
     return next((name for name in (wanted, *ENGINES) if ENGINES[name].installed), wanted)
 
 

@@ -1,12 +1,12 @@
-"""Fixtures and objects with joints from somebody's URDF or MJCF file, each name and number checked.
+"""Fixtures and objects with joints, read from a URDF or MJCF file. Each name and number is checked.
 
-Of MJCF this is known; anything else is refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh
-name file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat
-or euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
+Known elements of MJCF, all others are refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh name
+file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or
+euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
 frictionloss), at most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler,
-fromto, mesh, mass or density). What is only drawn or measured is left out: geoms with contype and conaffinity 0,
-materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an <inertial>, its
-inertia is that of its geoms, each with its own mass; as in MuJoCo, geoms that are only drawn weigh something, too.
+fromto, mesh, mass or density). Parts that are only drawn or measured are left out: geoms with contype and conaffinity
+0, materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an <inertial>, its
+inertia is that of its geoms, each with its own mass. As in MuJoCo, geoms that are only drawn also have a mass.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ _ATTRIBUTES = {
     "geom": "name class type size pos quat euler fromto mesh mass density rgba material friction group condim contype "
     "conaffinity",
 }
-"""What is known of each element of MJCF."""
+"""Known attributes and parts of each element of MJCF."""
 DENSITY = 1000.0
-"""kg/m3 of a geom of MJCF that does not say its mass."""
+"""Density in kg/m3 of a geom in MJCF without a mass."""
 
 
 def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
@@ -53,10 +53,10 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
 
     Args:
         path: of the file.
-        collision: what its meshes collide as; by default as their hulls, with a warning where that fills a hole.
+        collision: collision shapes of its meshes; by default their hulls, with a warning if a hull fills a hole.
 
     Raises:
-        PluginError: the file holds what karolos does not know or cannot simulate. The message names element and line.
+        PluginError: the file holds an element that karolos does not know or cannot simulate; names element and line.
     """
     root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag == "mujoco":
@@ -64,7 +64,9 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     description = urdf.load(path, driven=False)
     for joint in description.joints:
         if joint.mimic is not None:
-            raise PluginError(f"it mimics {joint.mimic}, which only a motor does", where=f"{path}: joint {joint.name}")
+            raise PluginError(
+                f"it mimics {joint.mimic}, which is possible only with a motor", where=f"{path}: joint {joint.name}"
+            )
     robot = copy.deepcopy(description.robot)
     for link in robot.findall("link"):
         for shape in link.findall("collision"):
@@ -84,7 +86,7 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
 
 
 def hulls(robot: Element) -> dict[str, str]:
-    """What the convex hulls of a URDF's meshes fill, by link; without the links of which they fill nothing."""
+    """Holes that the convex hulls of a URDF's meshes fill, by link; links without such holes are left out."""
     found = {}
     for link in robot.findall("link"):
         files = [Path(mesh.get("filename", "")) for mesh in link.iterfind("collision/geometry/mesh")]
@@ -94,16 +96,16 @@ def hulls(robot: Element) -> dict[str, str]:
 
 
 def arm(path: Path, speed: float) -> Element:
-    """The URDF of an arm in an MJCF file, with absolute names of meshes. What fixtures do not know is left out.
+    """The URDF of an arm in an MJCF file, with absolute names of meshes. Elements unknown to fixtures are left out.
 
-    Its torques are those of its actuators; MJCF says no speeds.
+    Its torques are those of its actuators; MJCF has no speeds.
 
     Args:
         path: of the file.
         speed: of all joints, in rad/s.
 
     Raises:
-        PluginError: it is no MJCF file of one arm. The message names element and line.
+        PluginError: it is not an MJCF file of one arm. The message names element and line.
     """
     root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag != "mujoco":
@@ -131,10 +133,10 @@ class _MjcfReader:
         self._files: dict[str, tuple[Path, float]] = {}
         self._degree = np.pi / 180
         self._usual: dict[str, dict[str, dict[str, str]]] = {"main": {}}
-        """The attributes that an element has if it does not say otherwise: by class, and by kind of element."""
+        """Default attributes of elements: by class, and by kind of element."""
 
     def links(self) -> Iterator[Link]:
-        """The base, then each link after the one that it moves on."""
+        """The base, then the links, each after its parent."""
         bodies: list[Element] = []
         folder = self._path.parent
         for default in self._root.findall("default"):
@@ -156,7 +158,7 @@ class _MjcfReader:
         yield from self._body(bodies[0], "", np.zeros(3), "main")
 
     def _learn(self, default: Element, name: str, above: dict[str, dict[str, str]]) -> None:
-        """Keep the attributes of a class, which has those of the class that it stands in."""
+        """Keep the attributes of a class, which inherits those of the class around it."""
         own = {tag: dict(values) for tag, values in (self._usual.get(name) or above).items()}
         for part in default:
             if part.tag in ("geom", "joint", "mesh"):
@@ -167,7 +169,7 @@ class _MjcfReader:
             self._learn(part, part.get("class", ""), own)
 
     def _complete(self, element: Element, usual: str) -> None:
-        """Give an element what its class says, or the class `usual`."""
+        """Give an element the attributes of its class, or of the class `usual`."""
         name = element.get("class", usual)
         if name not in self._usual:
             raise self._error(element, f"there is no class {urdf.short(name)}")
@@ -177,13 +179,13 @@ class _MjcfReader:
                 element.attrib.setdefault(key, value)
 
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
-        """A body and what moves on it. A link's frame is in its joint: `offset` (3,) of the parent's in its body."""
+        """A body and all on it. A link's frame is at its joint; `offset` (3,) is the parent's frame in its body."""
         parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
         for part in parts:
             self._complete(part, usual)
         joints, inertials = ([part for part in parts if part.tag == tag] for tag in ("joint", "inertial"))
         if len(joints) != bool(parent) or len(inertials) > 1:
-            raise self._error(body, "a body on another has one joint, the base none, and each one <inertial> at most")
+            raise self._error(body, "a moving body needs one joint, the base none, and each at most one <inertial>")
         joint = joints[0] if joints else Element("joint", range="0 0")
         name, turns = joint.get("name", body.get("name", "base")), joint.get("type", "hinge") == "hinge"
         unlimited = "range" not in joint.attrib or joint.get("limited") == "false"
@@ -270,7 +272,7 @@ class _MjcfReader:
         return float(self._numbers(element, key, (usual,))[0])
 
     def _numbers(self, element: Element, key: str, usual: tuple[float, ...]) -> Array:
-        """The numbers of an attribute, as many as are usual; 1 to 3 for ()."""
+        """The numbers of an attribute, in the usual count; 1 to 3 for ()."""
         if key not in element.attrib:
             return np.array(usual)
         found = urdf.numbers(element.get(key, ""))
@@ -279,7 +281,7 @@ class _MjcfReader:
         return np.array(found)
 
     def _parts(self, element: Element, known: str) -> list[Element]:
-        """The parts of an element. Raises PluginError for parts and attributes that are not known."""
+        """The parts of an element. Raises PluginError for unknown parts and attributes."""
         strange = [key for key in element.attrib if key not in _ATTRIBUTES[element.tag].split()]
         parts = [part for part in element if part.tag not in _LEFT_OUT]
         for part in parts:
@@ -299,7 +301,7 @@ class _MjcfReader:
 
 
 class _MjcfArm(_MjcfReader):
-    """Reads an arm: bodies without a joint are frames or parts of the body before, and unknown parts are left out."""
+    """Reads an arm. Bodies without a joint are frames or parts of the body before; unknown parts are left out."""
 
     def __init__(
         self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
@@ -313,7 +315,7 @@ class _MjcfArm(_MjcfReader):
             self._complete(part, usual)
         joints = [part for part in parts if part.tag == "joint"]
         if len(joints) > 1:
-            raise self._error(body, f"{len(joints)} joints of one body", "an arm has one for each")
+            raise self._error(body, f"one body has {len(joints)} joints", "a body of an arm has one joint")
         pivot = self._numbers(joints[0], "pos", (0.0, 0.0, 0.0)) if joints else np.zeros(3)
         name, (place, turn) = body.get("name", f"body{len(self.robot)}"), self._pose(body)
         drawn = [geom for geom in parts if geom.tag == "geom"]
@@ -354,7 +356,7 @@ def _vector(values: Array) -> Vector:
 
 
 def _from_z(along: Array) -> Quaternion:
-    """A rotation that turns the z axis there."""
+    """A rotation that turns the z axis in this direction."""
     ahead = along / np.linalg.norm(along)
     across = np.cross(ahead, np.eye(3)[np.argmin(np.abs(ahead))])
     across /= np.linalg.norm(across)

@@ -71,11 +71,11 @@ class Orientations:
     turn: float
 
     def at(self, tilt_x: float, tilt_y: float, turn: float) -> Quaternion:
-        """The one that is turned by `turn` rad, then tilted by the rotation vector (tilt_x, tilt_y, 0) in rad."""
+        """The orientation turned by `turn` rad, then tilted by the rotation vector (tilt_x, tilt_y, 0) in rad."""
         return multiply(rotation_about((tilt_x, tilt_y, 0.0)), multiply(rotation_about((0.0, 0.0, turn)), self.middle))
 
     def parts(self, orientation: Quaternion) -> Vector:
-        """tilt_x, tilt_y and turn of an orientation, as `at` takes them."""
+        """tilt_x, tilt_y and turn of an orientation, the arguments of `at`."""
         x, y, z, w = multiply(orientation, inverse(self.middle))
         turn = 2 * atan2(z, w)
         turn -= 2 * pi * round(turn / (2 * pi))
@@ -158,7 +158,7 @@ def columns(rotation: Quaternion) -> tuple[float, float, float, float, float, fl
 def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
     """The rotation that turns the world's axes into these unit vectors; w is not negative."""
     (a, d, g), (b, e, h), (c, f, i) = x, y, z  # the rows of the matrix are a b c, d e f, g h i
-    # the four components, each times the same one, the largest: Shepperd 1978, Quaternion from Rotation Matrix
+    # the four components, each multiplied by the largest one: Shepperd 1978, Quaternion from Rotation Matrix
     candidates = (
         (1 + a - e - i, b + d, c + g, h - f),
         (b + d, 1 - a + e - i, f + h, c - g),

@@ -1,7 +1,7 @@
 """The interfaces between an engine, a robot, a task and the environment that joins them.
 
-A task uses `RobotView` and nothing else of a robot, so any robot works with any task. Robots and tasks use `World`,
-`Body` and `Motors` and nothing else of an engine.
+A task uses only the `RobotView` of a robot, so any robot works with any task. Robots and tasks use only `World`,
+`Body` and `Motors` of an engine.
 Units: m, s, kg, N, rad. The world's frame has its origin on the floor, at the robot's base or, with `robot.base:
 centred`, below the middle of its workspace.
 """
@@ -29,9 +29,9 @@ from .shapes import Inertia, Shape
 Ability = Literal["impedance", "suction", "materials", "window"]
 """An ability that not every engine has: springs at tools, cups, surfaces of given stiffness, a window."""
 PHYSICS_RATE: Final = 240
-"""Physics steps per second, if nothing else is said."""
+"""Default number of physics steps per second."""
 GRAVITY = -9.81
-"""m/s2 along z."""
+"""Gravity along z in m/s2."""
 FLOOR_FRICTION = 0.5
 """Lateral friction coefficient of the floor. A contact has the product of the coefficients of its two bodies."""
 OPENS = 0.01
@@ -42,7 +42,7 @@ FINGER_RATE = 24.0
 
 @dataclass(frozen=True)
 class Camera:
-    """Where a picture is taken from: `distance` m away from `target`, at angles in degrees."""
+    """Camera of a picture: `distance` m away from `target`, at angles in degrees."""
 
     target: Vector = (0.33, 0.0, 0.33)
     distance: float = 1.75
@@ -50,7 +50,7 @@ class Camera:
     pitch: float = -20.0
     field_of_view: float = 33.0
     base: Vector = (0.0, 0.0, 0.0)
-    """Where the arm stands. Pictures show a plate on the floor below it."""
+    """Place of the arm. Pictures show a plate on the floor below it."""
 
 
 class Stroke(NamedTuple):
@@ -61,7 +61,7 @@ class Stroke(NamedTuple):
     width: float = 1.0
     """Multiple of a usual line's width."""
     label: str | None = None
-    """At the head of an arrow; None: a line, which bodies in front of it hide."""
+    """Label at the head of an arrow; None: a line, which bodies in front of it hide."""
 
 
 @dataclass(frozen=True)
@@ -76,7 +76,7 @@ class JointLimits:
     """Names of the joints, for messages; empty if they have none."""
 
     def slowed(self, velocities: Sequence[float]) -> Sequence[float]:
-        """The velocities (n,) with each joint at its largest speed at most."""
+        """The velocities (n,), each limited to the joint's largest speed."""
         if not any(map(gt, map(abs, velocities), self.velocity)):
             return velocities
         return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
@@ -104,8 +104,8 @@ class Gripper:
 class Cup:
     """A suction cup. Its lip is a ring of spheres of the URDF, in the last link, around the tool centre point.
 
-    Suction seals where all of them are near the same body. It presses the two together with its force, whatever pulls:
-    beyond it the lip opens and releases. Along the lip friction holds, in proportion to the pressure that is left.
+    Suction seals if all of them are near the same body. It presses the two together with its force. A larger pull opens
+    the lip and releases the body. Along the lip friction holds, in proportion to the remaining pressure.
     """
 
     radius: float
@@ -118,9 +118,9 @@ class Cup:
 
 @dataclass(frozen=True)
 class Material:
-    """How the surface of a body gives way. Two bodies that touch are two springs in a row, and two dampers.
+    """Stiffness of a body's surface. Two bodies that touch are two springs in series, and two dampers.
 
-    PyBullet's contacts are as stiff as its solver can.
+    PyBullet's contacts are as stiff as its solver allows.
     """
 
     stiffness: float = 4e6
@@ -128,11 +128,11 @@ class Material:
     damping: float = 0.0
     """Damping of each contact point in N s/m."""
     restitution: float = 0.0
-    """Speed after an impact / speed before it, in [0, 1]; of two bodies that of the livelier."""
+    """Speed after an impact / speed before it, in [0, 1]. The larger value of the two bodies counts."""
 
 
 OBJECT_MATERIAL = Material(stiffness=4e5)
-"""Default of a free body and of what moves on a mechanism."""
+"""Default of free bodies and of moving links of mechanisms."""
 
 
 Frame = tuple[Vector, Quaternion]
@@ -146,15 +146,15 @@ class Spring(NamedTuple):
     """
 
     stiffness: float
-    """N/m."""
+    """Stiffness in N/m."""
     turn_stiffness: float
-    """N m/rad."""
+    """Rotational stiffness in N m/rad."""
     damping_ratio: float
-    """1: as much damping as the tool needs not to swing."""
+    """Damping ratio; 1: critical damping, the tool does not swing."""
     error: float
-    """Largest distance e to the set point, in m, that the spring answers to: more does not pull more."""
+    """Largest distance e to the set point that the spring uses, in m. A larger distance gives the same force."""
     turn_error: float
-    """The same of the rotation, in rad."""
+    """The same for the rotation, in rad."""
     home: tuple[float, ...]
     """Joint positions in rad to which a redundant arm returns."""
 
@@ -199,11 +199,11 @@ class Contact(NamedTuple):
     force: float
     """Normal force in N, of the last physics step."""
     distance: float
-    """Between the two surfaces in m; negative where they overlap."""
+    """Distance of the two surfaces in m; negative if they overlap."""
 
 
 class Body(Protocol):
-    """One body of a world. Links have an index, which is that of the joint above them; -1 is the base."""
+    """One body of a world. A link has the index of the joint above it; -1 is the base."""
 
     index: int
     """Index of the body in its world."""
@@ -236,10 +236,10 @@ class Body(Protocol):
         """Position (rad or m) and velocity (per s) of a mechanism's joint."""
 
     def place_joint(self, name: str, position: float) -> None:
-        """Put a mechanism's joint there at rest."""
+        """Place a mechanism's joint there at rest."""
 
     def drive_joint(self, name: str, speed: float, force: float) -> None:
-        """Let a mechanism's joint go at a speed (per s) with at most this force (N or N m). Speed 0 is dry friction."""
+        """Drive a mechanism's joint at a speed (per s) with at most this force (N or N m). Speed 0 is dry friction."""
 
     def set_joint_damping(self, name: str, damping: float) -> None:
         """Set the viscous friction of a mechanism's joint in N s/m or N m s/rad."""
@@ -248,19 +248,19 @@ class Body(Protocol):
         """Set the lateral friction coefficient of a link."""
 
     def set_material(self, material: Material, link: int = -1) -> None:
-        """Set how the surface of a link gives way. Raises UsageError where the engine cannot."""
+        """Set the stiffness of a link's surface. Raises UsageError if the engine cannot."""
 
     def set_inertia(self, mass: float, diagonal: Vector, link: int = -1) -> None:
         """Set the mass in kg and the principal moments in kg m2 of a link. Its centre of mass and axes stay."""
 
 
 class Loads(NamedTuple):
-    """The largest that each joint of an arm had since its positions were last written: (n,) each."""
+    """The largest values of each joint of an arm since its positions were last written: (n,) each."""
 
     speed: Sequence[float]
-    """rad/s"""
+    """Speed in rad/s."""
     acceleration: Sequence[float]
-    """rad/s2, the mean of a control step."""
+    """Acceleration in rad/s2, the mean of a control step."""
     torque: Sequence[float]
     """Torque of the motor, in N m."""
     wrench: float
@@ -270,8 +270,8 @@ class Loads(NamedTuple):
 class Motors(Protocol):
     """The motors of an arm and its gripper.
 
-    Each motor of the arm follows a target speed with the torque that this takes, up to its largest torque. The gripper
-    closes or opens at its speed, each finger with at most its force.
+    Each motor of the arm follows a target speed with the necessary torque, up to its largest torque. The gripper closes
+    or opens at its speed, each finger with at most its force.
     """
 
     pads: Sequence[int]
@@ -296,7 +296,7 @@ class Motors(Protocol):
         """Set the lateral friction coefficient of the pads, or of the lip."""
 
     def attach(self, spring: Spring) -> None:
-        """Let a spring move the tool from now on, instead of target speeds. Raises UsageError where an engine cannot.
+        """Let a spring move the tool from now on, in place of target speeds. Raises UsageError if the engine cannot.
 
         Dry friction then brakes the joints.
         """
@@ -307,39 +307,39 @@ class Motors(Protocol):
     def wrench(self) -> Sequence[float]:
         """The wrench of contacts on the tool and its load: force in N and torque in N m at the tool, in its frame.
 
-        Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not: it
-        is what a sensor at the wrist measures whose own load is compensated. With PyBullet from the first call on.
+        Low-passed, and zero at a reset. A held body counts with its weight and inertia, the gripper itself does not. A
+        sensor at the wrist measures the same if its own load is compensated. In PyBullet from the first call on.
         """
 
     def set_wrench_filter(self, seconds: float) -> None:
         """Set the time constant in s of the wrench's low-pass, before the first step; 0: none."""
 
     def write(self, positions: Sequence[float], opening: float) -> None:
-        """Put the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
+        """Place the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
     def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
         """Set the target speeds of the next control step: from `begin` to `end` (n,) in rad/s, linear in time.
 
-        After k of n physics steps a joint's target speed is begin + k / n (end - begin).
-        `openings` of the gripper, in [0, 1], by the physics step of the control step, from 0 on, in which each takes
-        effect; until then the gripper does as before. A cup sucks while its opening is less than half.
+        After k of n physics steps a joint's target speed is begin + k / n (end - begin). `openings` of the gripper, in
+        [0, 1], by the physics step of the control step in which each takes effect, from 0. Until then the gripper
+        follows its last command. A cup sucks while its opening is below .5.
         """
 
     def read(self) -> tuple[Sequence[float], Sequence[float], float]:
         """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without).
 
-        Of a cup: 1 without suction, .5 while it holds something, as of fingers around a thing, else 0.
+        For a cup: 1 without suction, .5 while it holds something (like fingers around an object), else 0.
         """
 
     def loads(self) -> Loads:
         """The largest speed, acceleration and torque of each joint since `write`.
 
-        Speeds and torques are those of physics steps; with PyBullet those at the ends of control steps.
+        Speeds and torques are those of physics steps; in PyBullet those at the ends of control steps.
         """
 
 
 class World(Protocol):
-    """A floor, gravity and the bodies put in. Built once: an episode begins by writing states, never by loading.
+    """A floor, gravity and the added bodies. Built once: an episode begins by writing states, never by loading.
 
     A control step is `substeps` physics steps and takes `period` seconds.
     """
@@ -347,7 +347,7 @@ class World(Protocol):
     substeps: int
     period: float
     lead: float
-    """Seconds by which the world's velocities are later than its positions."""
+    """Time in s by which the world's velocities are later than its positions."""
 
     def step(self) -> None:
         """Simulate one control step."""
@@ -359,7 +359,7 @@ class World(Protocol):
         """Set the lateral friction coefficient of the floor."""
 
     def load(self, source: Path | Mechanism, *, position: Vector = (0.0, 0.0, 0.0)) -> Body:
-        """Add a mechanism, or what a URDF or MJCF file describes (`fixtures.read`); its links do not meet each other.
+        """Add a mechanism, from code, URDF or MJCF (`fixtures.read`). Its links do not collide with each other.
 
         The base is fixed, `place` moves it. Raises PluginError when the file or the engine refuses it.
         """
@@ -381,11 +381,11 @@ class World(Protocol):
             limits: of the joints.
             fingers: of the gripper.
             tool: its frame in the last of these links; springs, the wrench and a cup need it.
-            cup: instead of fingers. Not in PyBullet.
+            cup: replaces fingers. Not in PyBullet.
         """
 
     def release_in_motion(self) -> None:
-        """After `motors`: let objects leave a moving hand cleanly, so that nearly the same throw lands nearly there.
+        """After `motors`: let objects leave a moving hand cleanly, so that similar throws land near each other.
 
         Deep contacts are corrected more slowly then.
         """
@@ -395,16 +395,16 @@ class World(Protocol):
 
         Args:
             shapes: at least one; they may overlap.
-            mass: in kg. With 0 it is static: it moves only by `place`, and meets only what moves.
+            mass: in kg. With 0 it is static: it moves only by `place`, and collides only with moving bodies.
             colour: of all shapes.
-            inertia: that of a body as dense everywhere, if it is not given.
+            inertia: by default that of a body with uniform density.
         """
 
     def marker(self, radius: float, colour: Colour) -> Body:
         """Add a translucent sphere that collides with nothing."""
 
     def forget_contacts(self) -> None:
-        """Forget the contacts of free bodies, with their impulses, so that an episode does not depend on the last."""
+        """Forget the contacts and impulses of free bodies, so that an episode does not depend on the one before."""
 
     def contacts(self, first: Body, second: Body, link: int) -> Sequence[Contact]:
         """The contact points between `link` of the first body and any link of the second."""
@@ -412,14 +412,14 @@ class World(Protocol):
     def forces(self, body: Body) -> dict[tuple[int, int], float]:
         """The forces on a body: the largest total normal force in N in a physics step of the last control step.
 
-        The key is the body's link and the index of the other body. It is the body's own index where two of its links
-        touch; both then have an entry. Forces that were zero throughout are left out.
+        The key is the body's link and the index of the other body. If two links of the body touch, it is the body's own
+        index, and both links have an entry. Forces that were always zero are left out.
         """
 
     def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
         """As `forces`, the largest since the joints of an arm were last written.
 
-        With PyBullet those of the last physics step of each control step, unless `forces` has been asked for.
+        In PyBullet those of the last physics step of each control step, unless `forces` has been called.
         """
 
     def render(
@@ -428,8 +428,8 @@ class World(Protocol):
         """A picture (height, width, 3) uint8.
 
         Args:
-            strokes: lines and arrows besides bodies and markers.
-            back: the fraction of the way from now to the state of the last picture with 0, of which a picture is taken.
+            strokes: lines and arrows, in addition to bodies and markers.
+            back: fraction of the way back from now to the last picture that had `back` 0.
         """
 
     def close(self) -> None:
@@ -445,7 +445,7 @@ class TaskNeeds:
     """The demands of a task on a robot."""
 
     gripper: GripperUse
-    """Whether it uses the gripper, see `Task.uses_gripper`."""
+    """Whether the task uses the gripper, see `Task.uses_gripper`."""
     period: float
     """Duration of a control step in s."""
     control: ControlMode = "cartesian"
@@ -453,25 +453,25 @@ class TaskNeeds:
     protective_stop: bool = False
     """Whether the robot stops protectively unless its settings say otherwise."""
     fingers: float = 0.0
-    """How far a gripper that the task does not use stands open unless the robot's settings say otherwise."""
+    """Opening of a gripper that the task does not use, unless the robot's settings say otherwise."""
 
 
 class RobotView(Protocol):
-    """Everything that a task or a scripted expert may know of a robot."""
+    """Everything that a task or a scripted expert may know about a robot."""
 
     base: Vector
     """Position of its base in the world, in m."""
     workspace: Box
     """Region that the tool reaches while it points down, each point to within 5 mm."""
     orientations: Orientations
-    """Those to which actions turn the tool, around that of home."""
+    """Orientations to which actions can turn the tool, around the one at home."""
     dexterous: Box | None
-    """Part of the workspace in which the tool takes all of them; None where it is not known."""
+    """Part of the workspace in which the tool reaches all these orientations; None if unknown."""
     limits: JointLimits
     gripper: Gripper | Cup | None
     """None for a robot without a gripper."""
     gripper_delay: float
-    """Seconds after which the gripper follows its command, where randomization draws no other delay."""
+    """Delay of the gripper after its command in s, unless randomization samples another one."""
     home: Vector
     """Tool position at the start of an episode without reset noise, in m."""
     home_yaw: float
@@ -481,7 +481,7 @@ class RobotView(Protocol):
     tool_step: float
     """Largest change of the tool position along each axis in one control step, in m."""
     tool_speed: float
-    """Largest speed of the tool centre point in m/s; inf where the speeds of the joints alone limit it."""
+    """Largest speed of the tool centre point in m/s; inf if only the speeds of the joints limit it."""
     joint_step: tuple[float, ...]
     """Largest change of each joint position in one control step, in rad: (n,)."""
     period: float
@@ -498,7 +498,7 @@ class RobotView(Protocol):
     tool: Pose
     """Current pose of the tool."""
     closing: Vector
-    """Direction in which the pads close, of either of them; only with a gripper that the task uses."""
+    """Direction in which one of the pads closes; only with a gripper that the task uses."""
     tool_position: Vector
     """Current position of the tool centre point, in m."""
     tool_velocity: Vector
@@ -508,7 +508,7 @@ class RobotView(Protocol):
     opening_command: float
     """Commanded opening of the gripper: 0 closed, 1 open. 0 without a gripper."""
     observed_tool_position: Vector
-    """The tool position in m as the last `observe` gave it, with noise."""
+    """The tool position in m from the last `observe`, with noise."""
 
     def forward(self, joints: Sequence[float]) -> Configuration:
         """Forward kinematics: tool pose and joint axes at joint positions (n,) in rad."""
@@ -517,8 +517,8 @@ class RobotView(Protocol):
     """Whether a protective stop has ended the running episode."""
 
     wrench: Sequence[float]
-    """The wrench of contacts on the gripper and its load, as a sensor at the wrist feels it: force in N and torque in
-    N m at the tool centre point, in the tool's frame, low-passed; zero at a reset."""
+    """The wrench of contacts on the gripper and its load, as a sensor at the wrist measures it: force in N and torque
+    in N m at the tool centre point, in the tool's frame, low-passed; zero at a reset."""
     joint_torques: Sequence[float]
     """Torques of the motors in the last physics step, in N m: (n,)."""
 
@@ -529,27 +529,27 @@ class RobotView(Protocol):
         """Largest force in N on a link in a physics step of the last control step, by other bodies than these."""
 
     def touches_others(self, *allowed: Body) -> bool:
-        """Whether anything but these bodies presses on a link: the floor, another body, or another link of the arm."""
+        """Whether anything but these bodies presses on a link: floor, another body, or another link of the arm."""
 
     def with_noise(self, values: Sequence[float]) -> list[float]:
         """The values with the observation noise of the episode, for a task that observes its objects."""
 
     def pads_touching(self, body: Body) -> int:
-        """Number of pads (0, 1, 2) in contact with the body; 2 for one that a cup holds."""
+        """Number of pads (0, 1, 2) in contact with the body; 2 if a cup holds the body."""
 
     def pads_gripping(self, body: Body) -> int:
-        """Number of pads (0, 1, 2) whose inner faces, facing each other, touch the body; 2 for one that a cup holds."""
+        """Number of pads (0, 1, 2) whose inner faces, facing each other, touch the body; 2 if a cup holds the body."""
 
     def place_tool(
         self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False
     ) -> None:
-        """During a reset: put the tool there at rest, the gripper at `opening`.
+        """During a reset: place the tool there at rest, with the gripper at `opening`.
 
         Args:
             position: in m.
             opening: 0 closed, 1 open.
             orientation: of the tool; None: pointing down as at home.
-            closing: whether the gripper closes until an action says otherwise, to hold what is between its pads.
+            closing: whether the gripper closes until an action says otherwise, to hold the object between its pads.
 
         Raises PluginError for an unreachable position.
         """
@@ -581,9 +581,9 @@ class Robot(RobotView, Protocol):
     observation: Layout
     action: Layout
     stops: int
-    """Number of protective stops in the running episode, those that are only counted included."""
+    """Number of protective stops in the running episode, including stops that are only counted."""
     measures: Sequence[Measure]
-    """The robot's measures of an episode; may depend on `prepare`."""
+    """The robot's measures of an episode. They may depend on `prepare`."""
 
     engine_needs: Mapping[str, Ability]
     """The abilities that it needs of an engine, by the setting that asks for them, as a spec calls it."""
@@ -601,7 +601,7 @@ class Robot(RobotView, Protocol):
         """Set a declared parameter for the next episode; called before `reset`."""
 
     def reset(self, generator: Generator) -> None:
-        """Take the home pose with reset noise, then `read`. The generator belongs to the episode and may be stored."""
+        """Go to the home pose with reset noise, then `read`. The generator belongs to the episode and may be stored."""
 
     def act(self, action: Sequence[float]) -> None:
         """Aim the motors: action.size finite numbers, clipped to [-1, 1]."""
@@ -630,27 +630,29 @@ class Task(ABC):
 
     Settings: ClassVar[type[BaseModel]]
     settings: Any
-    """As the spec has them."""
+    """Settings of the spec."""
     drawn: Any
-    """The same in the running episode: a setting that is marked with `Drawn` has the value that training drew."""
+    """The settings in the running episode: a setting marked with `Drawn` has the value that training sampled."""
     stage: str | None = None
-    """The stage that the running episode began in, of those whose probabilities the settings `start_STAGE` are."""
+    """The stage in which the running episode began. The settings `start_STAGE` are the stages' probabilities."""
     uses_gripper: ClassVar[GripperUse]
     """Whether the action moves the gripper. If not, its fingers stand still and are not simulated. "closed": it stays
-    closed around what the task puts between its fingers, and no action opens it."""
+    closed around the object that the task puts between its fingers, and no action opens it."""
     fingers: ClassVar[float] = 0.0
-    """How far they stand open then if the robot's settings do not say: 0 closed, 1 open."""
+    """Opening of such fingers, if the robot's settings do not say: 0 closed, 1 open."""
+    held_mass: float = 0.0
+    """kg of what a gripper that stays closed holds: a robot's controller is told it as payload. Set in `fit`."""
     control: ClassVar[ControlMode] = "cartesian"
     """The default of the robot's control mode. Actions change joint positions (joint), the position of a tool that
     points down (cartesian), its whole pose (pose), or the set point of a spring that moves the tool (impedance)."""
     protective_stop: ClassVar[bool] = True
     """Whether a robot stops protectively if its settings do not say; a stop ends the episode without success."""
     camera: Camera = Camera()
-    """Where pictures are taken from if the arm stands at the origin. Nothing that moves leaves the picture."""
+    """Camera of pictures if the arm stands at the origin. All moving things stay in the picture."""
     observation: Layout = Layout()
     """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
-    """Further fields for critics alone. A spec chooses from them by `environment.critic_observes`."""
+    """More fields, only for critics. A spec chooses from them by `environment.critic_observes`."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest `extra_reward`."""
     achieved_goal: Layout
@@ -709,7 +711,7 @@ class Task(ABC):
         """The achieved goal (achieved_goal.size,), a new array."""
 
     def measure(self) -> dict[str, float]:
-        """The values of `measures` at the end of an episode, by name; one that is left out or not finite is undefined.
+        """The values of `measures` at the end of an episode, by name. A missing or non-finite value is undefined.
 
         Called after `read`, if the physics has not diverged.
         """
@@ -720,7 +722,7 @@ class Task(ABC):
         return None
 
     def strokes(self) -> Sequence[Stroke]:
-        """Lines and arrows that a picture shows besides bodies and markers. Called for each picture, after `read`."""
+        """Lines and arrows of a picture, in addition to bodies and markers. Called for each picture, after `read`."""
         return ()
 
     def lost(self) -> bool:
@@ -728,9 +730,9 @@ class Task(ABC):
         return False
 
     def over(self) -> bool:
-        """Whether the arm can change nothing any more: the episode is truncated.
+        """Whether the arm can no longer change anything: the episode is truncated.
 
-        A parameter that training draws should decide it, so that tests play on.
+        A parameter that training samples should decide it, so that tests go on.
         """
         return False
 

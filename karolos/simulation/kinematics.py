@@ -90,7 +90,7 @@ class Chain:
         self.links = np.array([*frames, tool_frame])
         """Translation in m and rotation of each joint and of the tool in the frame before: (n + 1, 12)."""
         self.base = np.array(base, float)
-        self._kernel = import_module(".arm_kernel", __package__)  # heavy, so not before an arm is built
+        self._kernel = import_module(".arm_kernel", __package__)  # heavy, so it is imported when an arm is built
 
     def forward(self, positions: Sequence[float]) -> Configuration:
         """The chain at joint positions (n,) in rad."""
@@ -131,7 +131,7 @@ class Chain:
         return moved
 
     def _per_joint(self, numbers: Sequence[float]) -> Array:
-        """The numbers as an array (n,). Raises ValueError if they are not one for each joint."""
+        """The numbers as an array (n,). Raises ValueError unless there is one number per joint."""
         array = np.array(numbers, float)
         if array.shape != (self.size,):
             raise ValueError(f"{array.size} numbers for {self.size} joints")

@@ -1,9 +1,9 @@
-"""Meshes of strangers: STL, OBJ and Collada, read and checked here, so that an engine reads only what karolos wrote.
+"""Reads and checks foreign meshes (STL, OBJ, Collada), so that an engine reads only files that karolos wrote.
 
 Engines collide convex shapes: a mesh is its convex hull, or is decomposed into convex pieces.
-PyBullet reads past the end of its arrays where a face names a missing corner, and takes minutes for blank lines.
-Trimesh reads Collada, and says how triangles hang together. OBJ and STL are read here: trimesh takes a corner 0, a
-relative one or a missing number of an OBJ for another without an error, and finds nothing in an STL of a wrong count.
+PyBullet reads past the end of its arrays if a face names a missing corner, and takes minutes for blank lines. Trimesh
+reads Collada and analyses how triangles are connected. OBJ and STL are read here: trimesh misreads a corner 0, a
+relative corner or a missing number of an OBJ without an error, and finds nothing in an STL with a wrong count.
 """
 
 from __future__ import annotations
@@ -32,32 +32,32 @@ from ..files import writing
 from ..system import user_cache
 
 Collision = Literal["convex", "decomposed"]
-"""What a mesh that is not convex collides as: its convex hull, or convex pieces of it."""
+"""Collision shape of a mesh that is not convex: its convex hull, or convex pieces of it."""
 MESH_SUFFIXES = (".stl", ".obj", ".dae")
 LARGEST_MESH = 20_000_000
 """Largest size of a file in bytes."""
 LARGEST_NUMBER = 1e5
 """Largest coordinate, and largest number of a URDF, in its unit."""
 LARGEST_PART, LEAST_PART = 5.0, 1e-4
-"""m: the longest edge of the box around a part, in its scale. Beyond, its unit is wrong."""
+"""Range in m of the longest edge of the box around a scaled part. Outside it the unit is wrong."""
 SAME_VOLUME = 0.95
-"""A mesh that fills less of its convex hull is not convex."""
+"""Share of its convex hull that a convex mesh fills at least."""
 LEAST_SHARE = 1e-3
-"""A closed mesh that fills less of its convex hull encloses nothing: its sides cancel each other."""
+"""A closed mesh that fills a smaller share of its convex hull encloses nothing: its sides cancel each other."""
 LINES, MOST_TESTS = 200, 4_000_000
-"""Lines along each axis that tell how often a mesh encloses a place, and most pairs of a line and a triangle."""
+"""Number of lines per axis that test how often a mesh encloses a place, and largest number of line-triangle pairs."""
 TWICE = 0.005
-"""Share of a mesh that may be enclosed twice or from behind: so much is its weight wrong at most."""
+"""Share of a mesh that may be enclosed twice or from behind. The error of its mass is at most this share."""
 ROUNDING = 1e-6
-"""Corners that are nearer than this share of the mesh's size are one, if the surface is open otherwise."""
+"""Corners nearer than this share of the mesh's size are merged, if the surface is open otherwise."""
 CONCAVITY = 0.02
-"""Largest concavity of a convex piece, as CoACD measures it, in parts of the mesh's size."""
+"""Largest concavity of a convex piece, as CoACD measures it, relative to the mesh's size."""
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _TRIANGLE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attributes", "<u2")])
 
 
 def _content(path: Path) -> bytes:
-    """The bytes of a file. Results are cached by them: a file that was edited is read again."""
+    """The bytes of a file. Results are cached by them, so an edited file is read again."""
     try:
         if path.stat().st_size > LARGEST_MESH:
             raise PluginError(f"larger than {LARGEST_MESH / 1e6:g} MB", where=str(path), hint="simplify the mesh")
@@ -69,7 +69,7 @@ def _content(path: Path) -> bytes:
 def triangles(path: Path) -> NDArray[np.float32]:
     """Corners (n, 3, 3) of a mesh, in its own frame and unit. The result is shared and must not be changed.
 
-    Collada says its unit and which axis points up: its corners are in m, with z upwards.
+    Collada states its unit and its upward axis: the corners are in m, with z upwards.
 
     Raises PluginError for a file that is too large, damaged, empty, or has numbers that are not finite.
     """
@@ -97,7 +97,7 @@ def stl(corners: NDArray[np.floating[Any]]) -> bytes:
 
 
 class Solid(NamedTuple):
-    """What a mesh encloses, or its convex hull where that cannot be said; in its own frame and unit."""
+    """Volume that a mesh encloses, or that of its convex hull if that is not defined; in its own frame and unit."""
 
     volume: float
     centre: Array
@@ -105,13 +105,13 @@ class Solid(NamedTuple):
     tensor: Array
     """Inertia (3, 3) about the centre, per mass."""
     filled: str
-    """What its convex hull fills, in words; empty for a convex mesh."""
+    """Holes that its convex hull fills, in words; empty for a convex mesh."""
     flaw: str
-    """Why it weighs as its convex hull, in words; empty for a mesh that encloses each place once."""
+    """Why its mass is that of its convex hull, in words; empty for a mesh that encloses each place once."""
 
 
 def solid(path: Path) -> Solid:
-    """Volume and inertia of a mesh. Raises PluginError as `triangles`, and for one that is flat."""
+    """Volume and inertia of a mesh. Raises PluginError as `triangles`, and for a flat mesh."""
     return _solid(path, _content(path))
 
 
@@ -153,7 +153,7 @@ def _solid(path: Path, data: bytes) -> Solid:
 
 
 def hull(points: Array) -> Solid:
-    """The convex hull of points (n, 3); of fewer than four, or flat ones, a ball of 6 cm around their middle."""
+    """The convex hull of points (n, 3). For fewer than four or flat points: a ball of 6 cm around their middle."""
     from scipy.spatial import ConvexHull, QhullError  # noqa: PLC0415
 
     try:
@@ -165,14 +165,14 @@ def hull(points: Array) -> Solid:
 
 
 def _closed(faces: NDArray[np.intp]) -> bool:
-    """Whether triangles (n, 3) of corners meet at each edge, as many in one direction as in the other."""
+    """Whether triangles (n, 3) of corners meet at each edge, with equal numbers in both directions."""
     edges = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     there, back = (np.sort(ends @ [1 + int(faces.max(initial=0)), 1]) for ends in (edges, edges[:, ::-1]))
     return np.array_equal(there, back)
 
 
 def _welded(corners: NDArray[np.float32]) -> NDArray[np.intp]:
-    """Of each corner (n, 3) the first one that is the same but for rounding, (n,)."""
+    """For each corner (n, 3) the first corner that is the same except for rounding, (n,)."""
     from scipy.sparse import coo_array  # noqa: PLC0415 (as above)
     from scipy.sparse.csgraph import connected_components  # noqa: PLC0415
     from scipy.spatial import KDTree  # noqa: PLC0415
@@ -185,7 +185,7 @@ def _welded(corners: NDArray[np.float32]) -> NDArray[np.intp]:
 
 
 def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
-    """The share of what a closed mesh (n, 3, 3) encloses that it encloses twice, or once from behind.
+    """The share of the enclosed volume of a closed mesh (n, 3, 3) that is enclosed twice, or once from behind.
 
     Each of some lines along the axes enters and leaves the bodies of a sound mesh in turns.
     """
@@ -195,7 +195,7 @@ def _enclosed_wrongly(found: NDArray[np.float32]) -> float:
         lengths: Counter[int] = Counter()
         least, most = turned[:, :, :2].min(1), turned[:, :, :2].max(1)
         for number in range(1, min(LINES, MOST_TESTS // len(unit)) + 1):
-            # a sequence that fills a square evenly (Roberts' R2), beside the round numbers of a CAD
+            # a sequence that fills a square evenly (Roberts' R2), away from the round numbers of a CAD
             place = np.array([0.7548777, 0.5698403]) * number % 1
             near = turned[((least < place) & (place < most)).all(1)]
             x, y = np.moveaxis(near[:, :, :2] - place, 2, 0)
@@ -221,7 +221,7 @@ def _volumes(corners: NDArray[np.floating[Any]], faces: NDArray[np.intp]) -> Arr
 def _moments(
     corners: NDArray[np.floating[Any]], faces: NDArray[np.intp], *, convex: bool
 ) -> tuple[float, Array, Array]:
-    """Volume, centre and inertia per mass of what triangles enclose: sums over tetrahedra from one point.
+    """Volume, centre and inertia per mass of the space inside triangles: sums over tetrahedra from one point.
 
     Triangles of a hull may face either way: the point is inside, and each tetrahedron counts.
     """
@@ -239,7 +239,7 @@ def _moments(
 
 
 def warn_of_hull(path: Path, *, weighed: bool = False, accepted: bool = False) -> None:
-    """Say that a mesh whose mass follows from it (`weighed`), or that collides, is taken for its convex hull."""
+    """Warn that a mesh which collides, or which determines a mass (`weighed`), is replaced by its convex hull."""
     found = solid(path)
     if found.flaw and weighed:
         hint = "its volume and inertia are those of its convex hull; repair the mesh, in a CAD or Blender"
@@ -250,7 +250,7 @@ def warn_of_hull(path: Path, *, weighed: bool = False, accepted: bool = False) -
 
 
 def check_size(path: Path, scale: float | Sequence[float]) -> None:
-    """Refuse a mesh whose size in m shows that its unit is another. Raises PluginError."""
+    """Refuse a mesh whose size in m shows a wrong unit. Raises PluginError."""
     size = float((np.ptp(triangles(path).reshape(-1, 3), axis=0) * np.abs(scale)).max())
     if not LEAST_PART <= size <= LARGEST_PART:
         hint = "in millimetres? set scale: 0.001" if size > LARGEST_PART else "is it in metres already?"
@@ -258,10 +258,10 @@ def check_size(path: Path, scale: float | Sequence[float]) -> None:
 
 
 def pieces(path: Path) -> tuple[Path, ...]:
-    """Files of the convex pieces that a mesh is decomposed into; the mesh itself where it is convex.
+    """Files of the convex pieces of a mesh; the mesh itself if it is convex.
 
-    They are kept by their content in the user's cache folder. Raises MachineError where the
-    package coacd is missing, or the cache cannot be written.
+    They are kept by their content in the user's cache folder. Raises MachineError if the package coacd is missing or
+    the cache cannot be written.
     """
     if solid(path).filled == "":
         return (path,)
@@ -300,7 +300,7 @@ def _stl(data: bytes, path: Path) -> NDArray[np.float32]:
     exact = len(data) == 84 + _TRIANGLE.itemsize * count
     if not exact and b"\0" not in data and _VERTEX.search(data):
         return _ascii_stl(data, path)
-    if count in (0, 2**32 - 1):  # a writer that could not go back to its header
+    if count in (0, 2**32 - 1):  # its writer could not return to the header
         count = there
     if count != there or not there:  # less than a triangle may follow: a line's end
         what = f"its header counts {count} triangles, {there} follow" if len(data) > 84 else f"{len(data)} bytes"
@@ -309,7 +309,7 @@ def _stl(data: bytes, path: Path) -> NDArray[np.float32]:
 
 
 def _ascii_stl(data: bytes, path: Path) -> NDArray[np.float32]:
-    """Letters of either size, ends of lines of every system, several bodies; their names are left out."""
+    """Upper or lower case, line ends of every system, several bodies; their names are left out."""
     text = re.sub(rb"(?im)^[ \t]*(end)?solid\b.*$", b"", data.replace(b"\r\n", b"\n").replace(b"\r", b"\n"))
     corners = []
     for word in _VERTEX.finditer(text):
@@ -336,7 +336,7 @@ def _dae(data: bytes, path: Path) -> NDArray[np.float32]:
         scene = trimesh.load_scene(BytesIO(data), file_type="dae", resolver=None)  # which opens no other file
         found = np.array(scene.to_mesh().triangles).reshape(-1, 3, 3) if scene.geometry else np.zeros((0, 3, 3))
         found *= float(unit[1]) if unit else 1.0
-    except Exception as error:  # pycollada raises whatever it meets
+    except Exception as error:  # pycollada may raise any error
         raise PluginError(f"cannot be read as Collada: {' '.join(str(error).split())[:200]}", where=str(path)) from None
     x, y, z = np.moveaxis(found, 2, 0)
     turned = {b"Z": (x, y, z), b"X": (-y, -z, x)}.get(up[1] if up else b"Y", (x, -z, y))

@@ -1,4 +1,4 @@
-"""Bodies and mechanisms made in code, as engines get them: as a URDF. Units: m, rad, kg, kg m2."""
+"""Bodies and mechanisms made in code, converted to a URDF for the engines. Units: m, rad, kg, kg m2."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ class Mechanism:
     robot: Element
     """Links and moving joints of a URDF, with absolute names of meshes."""
     frictions: Mapping[str, float] = field(default_factory=dict)
-    """Dry friction in N or N m of each joint that no arm's motor drives."""
+    """Dry friction in N or N m of each joint without a motor."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Link:
-    """A rigid piece of a mechanism made in code. Its joint is called like it.
+    """A rigid piece of a mechanism made in code. Its joint has the same name.
 
     Its frame is at `position` and `orientation` in its parent's while the joint is at 0.
     """
@@ -36,20 +36,20 @@ class Link:
     name: str
     shapes: Sequence[Shape]
     mass: float = 0.0
-    """In kg. The base needs none."""
+    """Mass in kg. The base needs none."""
     inertia: Inertia | None = None
     colour: Colour = GREY
     parent: str = ""
-    """The link that it moves on; empty for the base."""
+    """Parent link; empty for the base."""
     joint: Literal["slide", "hinge"] = "slide"
     axis: Vector = (1.0, 0.0, 0.0)
-    """Of the joint, through the origin of its frame."""
+    """Axis of the joint, through the origin of its frame."""
     range: tuple[float, float] = (0.0, 0.0)
-    """Of the joint, in m or rad."""
+    """Range of the joint, in m or rad."""
     friction: float = 0.0
     """Dry friction of the joint in N or N m."""
     damping: float = 0.0
-    """Of the joint in N s/m or N m s/rad."""
+    """Viscous friction of the joint in N s/m or N m s/rad."""
     position: Vector = (0.0, 0.0, 0.0)
     orientation: Quaternion = UPRIGHT
 
@@ -58,9 +58,9 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
     """A <robot> of one link.
 
     Args:
-        shapes: of which the link consists.
-        mass: in kg, 0 for one that does not move.
-        inertia: by default that of a body as dense everywhere.
+        shapes: of the link.
+        mass: in kg, 0 for a fixed body.
+        inertia: by default that of a body with uniform density.
     """
     robot = Element("robot", name="body")
     robot.append(link_element("body", shapes, mass, inertia, None))
@@ -68,7 +68,7 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
 
 
 def mechanism(links: Sequence[Link]) -> Mechanism:
-    """Links made in code, the base first. Raises UsageError for a link that cannot move, or on what it does."""
+    """Check links made in code, the base first. Raises UsageError for a link whose joint or parent is invalid."""
     robot, known = Element("robot", name=links[0].name), set[str]()
     for link in links:
         robot.append(link_element(link.name, link.shapes, link.mass, link.inertia, link.colour))
@@ -91,7 +91,7 @@ def mechanism(links: Sequence[Link]) -> Mechanism:
 def link_element(
     name: str, shapes: Sequence[Shape], mass: float, inertia: Inertia | None, look: Colour | None
 ) -> Element:
-    """A <link>. `inertia`: by default that of a body as dense everywhere; `look`: None to draw meshes alone."""
+    """A <link>. `inertia`: by default that of a body with uniform density; `look`: None to draw only meshes."""
     link = Element("link", name=name)
     found = inertia or (inertia_of(shapes, mass) if shapes and mass else Inertia((0.0, 0.0, 0.0), (mass, mass, mass)))
     inertial = SubElement(link, "inertial")
@@ -113,7 +113,7 @@ def link_element(
 
 
 def _geometries(shape: Shape) -> list[Element]:
-    """What a shape collides as, in a URDF's words."""
+    """The collision geometry of a shape, in a URDF's words."""
     if isinstance(shape, Mesh):
         return [_mesh(piece, shape.scale) for piece in shape.pieces()]
     return [_geometry(shape)]
@@ -133,7 +133,7 @@ def _geometry(shape: Shape) -> Element:
             return Element("cylinder", radius=repr(radius), length=repr(length))
         case Capsule(radius=radius, length=length):
             return Element("capsule", radius=repr(radius), length=repr(length))
-    raise TypeError(f"no shape: {shape!r}")
+    raise TypeError(f"not a shape: {shape!r}")
 
 
 def place_element(element: Element, position: Vector, orientation: Quaternion) -> None:

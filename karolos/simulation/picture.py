@@ -1,8 +1,8 @@
 """Pictures of a world: the engine's renderer draws the bodies, NumPy the floor, the shadow, markers and strokes.
 
-So pictures look alike whatever the engine, and cost a fifth with PyBullet, whose own floor and shadows are slow. The
-floor is a plane with lines every 0.1 and 0.5 m and a plate under the arm. The shadow falls straight down, so that
-heights can be read. Pictures are drawn larger and made smaller, which smooths edges.
+Pictures therefore look the same in every engine. In PyBullet they take a fifth of the time, because its own floor and
+shadows are slow. The floor is a plane with lines every 0.1 and 0.5 m and a plate under the arm. The shadow falls
+straight down and shows heights. Pictures are drawn larger and scaled down, which smooths edges.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from .geometry import Colour, Vector
 from .interface import Camera, Stroke
 
 SAMPLES = 2
-"""Samples of a pixel along each side; the pixel is their mean."""
+"""Number of samples along each side of a pixel; the pixel is their mean."""
 FLOOR_COLOUR = (158.0, 173.0, 189.0)
 SKY_COLOUR = (226.0, 232.0, 238.0)
 PLATE_COLOUR, PLATE_EDGE = (122.0, 134.0, 147.0), (84.0, 94.0, 105.0)
 PLATE = (-0.4, 0.9, 0.55)
-"""The plate under the arm: its ends before and behind, and half its width, in m from the arm's base."""
+"""The plate under the arm: its front and back end, and half its width, in m from the arm's base."""
 PLATE_CORNER, PLATE_RIM, PLATE_SHADOW = 0.06, 0.012, 0.05
 """Radius of its corners, width of its rim and of the shadow around it, in m."""
 GRIDS = ((0.1, 0.0008, 0.22), (0.5, 0.0015, 0.4))
@@ -37,11 +37,11 @@ MARKER_OPACITY = 0.5
 STROKE = 0.006
 """Width of a stroke as a fraction of the picture's height."""
 PIECES = 4
-"""Pieces of a line between two points; bodies hide each piece as a whole."""
+"""Number of pieces of a line between two points; a body hides a piece as a whole."""
 SHADOW_CELLS = 160, 480
-"""The shadow is a square of as many cells to a side as the picture is high, within these limits."""
+"""Smallest and largest number of cells along a side of the shadow's square; usually the picture's height."""
 LIGHT_HEIGHT = 30.0
-"""Height from which the shadow is taken, in m: light falls nearly straight down."""
+"""Height of the light, in m: it falls nearly straight down."""
 
 
 class Eye(NamedTuple):
@@ -53,7 +53,7 @@ class Eye(NamedTuple):
     up: Vector
     """Unit vector, perpendicular to `ahead`."""
     field_of_view: float
-    """Vertical, in degrees."""
+    """Vertical angle of view, in degrees."""
     near: float = 0.1
     far: float = 20.0
     """The camera sees only bodies between these distances ahead, in m."""
@@ -61,7 +61,7 @@ class Eye(NamedTuple):
 
 Renderer = Callable[[Eye, int, int], tuple[NDArray[np.uint8], FloatArray]]
 """Draws the bodies for an eye, a width and a height: colours (height, width, 3) and the distance ahead in m (height,
-width), which is infinite where there is no body."""
+width), which is infinite without a body."""
 
 
 class Marker(NamedTuple):
@@ -69,12 +69,12 @@ class Marker(NamedTuple):
 
     position: Vector
     radius: float
-    """In m."""
+    """Radius in m."""
     colour: Colour
 
     @property
     def lies(self) -> bool:
-        """Whether it touches the floor, where a disc reads better than a part of a sphere."""
+        """Whether it touches the floor. There a disc is clearer than a part of a sphere."""
         return self.position[2] <= self.radius
 
 
@@ -83,19 +83,19 @@ class View(NamedTuple):
 
     eye: Eye
     axes: FloatArray
-    """To the right, up and ahead: (3, 3)."""
+    """Unit vectors to the right, up and ahead: (3, 3)."""
     edge: float
-    """Half the picture's height, 1 m ahead."""
+    """Half the picture's height at a distance of 1 m."""
     rays: FloatArray
-    """Through each pixel, 1 m long along the axis of the camera: (h, w, 3)."""
+    """Rays through each pixel, 1 m long along the axis of the camera: (h, w, 3)."""
     empty: NDArray[np.uint8]
-    """The floor and the sky: (h, w, 3)."""
+    """Picture of the floor and the sky: (h, w, 3)."""
     floor: FloatArray
     """x and y of the floor in each pixel, in m: (h, w, 2)."""
     above: Eye
-    """The light."""
+    """Eye of the light."""
     cells: int
-    """To a side of the square that can have a shadow."""
+    """Number of cells along a side of the square that can have a shadow."""
     cell: Array
     """Index of each pixel's cell in the square: (h, w). Pixels outside it have an index of the border."""
 
@@ -213,7 +213,7 @@ def _shadow(render: Renderer, view: View) -> FloatArray:
 
 
 def _rings(marker: Marker, view: View) -> Iterator[Stroke]:
-    """The outlines of a marker: on the floor, or towards the camera and with a line down to the floor below it."""
+    """The outlines of a marker: on the floor, or facing the camera with a line down to the floor."""
     (x, y, z), radius, colour = marker
     turn = np.linspace(0.0, 2 * pi, 49)
     circle = radius * np.stack((np.cos(turn), np.sin(turn), np.zeros(49)), -1)
@@ -280,7 +280,7 @@ def _draw_arrow(
 
 
 def _draw_sphere(picture: NDArray[np.uint8], view: View, away: FloatArray, marker: Marker) -> None:
-    """Blend a sphere into the picture where no body is in front of it. `away`: depth of the bodies in m."""
+    """Blend a sphere into the picture, except behind bodies. `away`: depth of the bodies in m."""
     offset = np.array(marker.position, np.float32) - np.array(view.eye.origin, np.float32)
     right, up, ahead = (view.axes @ offset).tolist()
     if ahead <= marker.radius:

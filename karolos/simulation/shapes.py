@@ -1,4 +1,4 @@
-"""Shapes that bodies are made of, with their volume and inertia. Units: m, kg, kg m2; quaternions x y z w."""
+"""Shapes of bodies, with their volume and inertia. Units: m, kg, kg m2; quaternions x y z w."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from . import meshes
 from .geometry import UPRIGHT, Quaternion, Vector, matrix_of, quaternion_of
 
 LEAST_SIZE, LARGEST_SIZE = 1e-6, 20.0
-"""Least and largest edge, radius, length and coordinate of a shape in m, and scale of a mesh."""
+"""Smallest and largest edge, radius, length and coordinate of a shape in m, and scale of a mesh."""
 _SIZES = ("size", "radius", "length", "scale")
 
 
@@ -83,28 +83,28 @@ class Capsule(Shape):
         radius, length = self.radius, self.length
         middle, _, cylinder = Cylinder(radius, length).solid()
         ends, _, ball = Sphere(radius).solid()
-        away = length**2 / 4 + 3 / 8 * length * radius  # as much as the centres of the half balls are outside
+        away = length**2 / 4 + 3 / 8 * length * radius  # the distance of the half balls' centres
         tensor = middle * cylinder + ends * (ball + np.diag([away, away, 0.0]))
         return middle + ends, np.zeros(3), tensor / (middle + ends)
 
 
 @dataclass(frozen=True)
 class Mesh(Shape):
-    """A part from a file of STL, OBJ or Collada, `scale` times as large: with .001 the file is in millimetres.
+    """A part from an STL, OBJ or Collada file, multiplied by `scale`: with .001 the file is in millimetres.
 
-    Mass and inertia follow from what the mesh encloses, or, with a warning, from its convex hull. Bodies collide as
-    convex shapes. `collision` says what a mesh that is not convex collides as: its convex hull, or the convex pieces
-    that the package coacd finds (`pip install 'karolos[parts]'`). They follow the mesh to about 2 % of its size, too
-    coarse for a peg in a hole: make such a hole of boxes.
+    Mass and inertia follow from the enclosed volume or, with a warning, from the convex hull. Collision shapes are
+    convex. For a mesh that is not convex, `collision` chooses its convex hull, or the convex pieces that the package
+    coacd finds (`pip install 'karolos[parts]'`). The pieces follow the mesh to about 2 % of its size. This is too
+    coarse for a peg in a hole: make such a hole from boxes.
 
-    Raises PluginError for a file that is not a mesh, for a flat part, and for one that is smaller than .1 mm or
-    larger than 5 m.
+    Raises PluginError for a file that is not a mesh, for a flat part, and for a part smaller than .1 mm or larger than
+    5 m.
     """
 
     path: Path
     scale: float = 1.0
     collision: meshes.Collision | None = None
-    """None: convex, with a warning where that fills a hole or a hollow."""
+    """None: convex hull, with a warning if it fills a hole or a hollow."""
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -122,7 +122,7 @@ class Mesh(Shape):
 
 @dataclass(frozen=True)
 class Inertia:
-    """How a body resists turning: centre of mass, principal moments in kg m2, and their axes, in the body's frame."""
+    """Inertia of a body: centre of mass, principal moments in kg m2, and their axes, in the body's frame."""
 
     centre: Vector
     moments: Vector
@@ -135,7 +135,7 @@ def volume_of(shapes: Sequence[Shape]) -> float:
 
 
 def inertia_of(shapes: Sequence[Shape], mass: float, shares: Sequence[float] | None = None) -> Inertia:
-    """Inertia of a body of `mass` kg that is equally dense everywhere, or of which each shape has a share."""
+    """Inertia of a body of `mass` kg with uniform density, or with a given share of the mass for each shape."""
     solids = []
     for shape in shapes:
         volume, middle, tensor = shape.solid()

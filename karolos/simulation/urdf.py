@@ -1,4 +1,4 @@
-"""URDF files as exporters write them: what is simulated of a robot, and its joints with their origins and limits.
+"""Reads URDF files of any exporter: the simulated part of a robot, and its joints with origins and limits.
 
 Units: m, rad, kg, N m (N for prismatic joints), rad/s (m/s). No engine is needed.
 """
@@ -26,18 +26,18 @@ from .geometry import Vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
 FINGER_MASS = 0.05
-"""Least mass in kg of a finger, with the drive that moves with it. A finger of 15 g grips with 21 instead of 30 N: the
-solver would need more iterations than are worth their time."""
+"""Smallest mass in kg of a finger with its drive. A finger of 15 g grips with 21 in place of 30 N: the solver would
+need too many iterations."""
 CONTINUOUS_RANGE = 2 * pi
 """Range in rad to each side of a continuous joint."""
 LEAST_SIZE = 1e-6
-"""Least length of a shape in m, and least mass of a moving link in kg."""
+"""Smallest length of a shape in m, and smallest mass of a moving link in kg."""
 LEAST_INERTIA = 1e-12
-"""Least principal moment of a moving link in kg m2."""
+"""Smallest principal moment of a moving link in kg m2."""
 MOST_LINKS, MOST_JOINTS = 1000, 12
-"""Links of a file, and joints of it that move. Engines take minutes for a chain of a hundred joints."""
+"""Largest number of links in a file, and of moving joints. Engines take minutes for a chain of a hundred joints."""
 LONGEST_FILE, LONGEST_NAME = 20_000_000, 100
-"""Of a file in bytes, and of a name in characters: PyBullet copies names into arrays of fixed size."""
+"""Largest size of a file in bytes, and of a name in characters: PyBullet copies names into arrays of fixed size."""
 
 _INERTIA = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 _LIMITS = ("lower", "upper", "effort", "velocity")
@@ -67,7 +67,7 @@ _KNOWN = {
     "mesh": "@filename scale=3",
     "color": "rgba=4",
 }
-"""What is kept of each element: @texts, numbers with their count, and parts, of which there may be many*."""
+"""Kept content of each element: @texts, numbers with their count, and parts; a * marks parts that may repeat."""
 _LEAST = {**dict.fromkeys(_SHAPES, LEAST_SIZE), "mass": 0.0, "dynamics": 0.0}
 _NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d{1,3})?", re.ASCII)
 
@@ -86,34 +86,34 @@ class Joint:
     lower: float
     upper: float
     effort: float
-    """Largest torque of its motor, without what dry friction (`<dynamics friction>`) takes of it."""
+    """Largest torque of its motor, without the part that dry friction (`<dynamics friction>`) needs."""
     velocity: float
     mimic: str | None = None
-    """The joint whose position this one follows."""
+    """Joint whose position this one follows."""
     friction: float = 0.0
-    """Its dry friction, N m or N."""
+    """Dry friction, N m or N."""
 
 
 @dataclass(frozen=True)
 class Mount:
-    """The URDF of a gripper on a link of an arm. Its links and joints are called `name`/... there."""
+    """The URDF of a gripper on a link of an arm. Its links and joints get names that begin with `name`/."""
 
     name: str
     path: Path
     link: str
-    """The link of the arm."""
+    """Link of the arm."""
     position: Vector
-    """Of the gripper's base in the frame of that link, in m."""
+    """Position of the gripper's base in the frame of that link, in m."""
     rpy: Vector
 
     def named(self, name: str) -> str:
-        """What a link or joint of the gripper is called on the arm."""
+        """The name of a link or joint of the gripper on the arm."""
         return f"{self.name}/{name}"
 
 
 @dataclass(frozen=True)
 class Description:
-    """What is simulated of a URDF."""
+    """The simulated part of a URDF."""
 
     robot: Element
     """Links, moving joints and materials only. Meshes have absolute file names."""
@@ -124,7 +124,7 @@ class Description:
     frames: Mapping[str, tuple[Array, Array]]
     """Link of the file -> its translation (3,) and rotation (3, 3) in the frame of its carrier."""
     corrected: tuple[str, ...] = ()
-    """Links whose inertia no body can have: the smaller principal moments are raised to what is possible."""
+    """Links with an impossible inertia: their smaller principal moments are raised to possible values."""
 
 
 def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
@@ -140,7 +140,7 @@ def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
 
 
 def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
-    """The inverse of `rotation_matrix`, for a pitch within (-pi/2, pi/2); at the poles the roll is set to 0."""
+    """The inverse of `rotation_matrix`, for a pitch in (-pi/2, pi/2). At the poles the roll is 0."""
     level = np.hypot(rotation[0, 0], rotation[1, 0])
     pitch = float(np.arctan2(-rotation[2, 0], level))
     if level < 1e-9:
@@ -150,7 +150,7 @@ def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
 
 def text_of(path: Path) -> str:
     """The text of a URDF. Raises PluginError when the file is missing, too large or not in UTF-8."""
-    # `from None`: the line says it all, and the command line prints the traceback of a cause.
+    # `from None`: the line is enough, and the command line would print the traceback of a cause
     try:
         if path.stat().st_size > LONGEST_FILE:
             raise PluginError(f"larger than {LONGEST_FILE / 1e6:g} MB", where=str(path))
@@ -163,15 +163,18 @@ def text_of(path: Path) -> str:
 
 
 def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
-    """The root of an XML file with this text, and the line of each element. Raises PluginError where it is not XML."""
+    """The root of an XML file with this text, and the line of each element. Raises PluginError if it is not XML."""
     lines: dict[Element, int] = {}
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
 
-    def refuse_entity(name: str, *_: object) -> None:  # a few lines of them are gigabytes
-        raise PluginError(f"the entity {short(name)}; a URDF has none", where=f"{path}:{parser.CurrentLineNumber}")
+    def refuse_entity(name: str, *_: object) -> None:  # a few lines of them can expand to gigabytes
+        raise PluginError(
+            f"it declares the entity {short(name)}; entities are not allowed in a URDF",
+            where=f"{path}:{parser.CurrentLineNumber}",
+        )
 
     parser.StartElementHandler, parser.EndElementHandler = start, builder.end
     parser.EntityDeclHandler = refuse_entity
@@ -184,13 +187,13 @@ def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
 
 
 class _Source:
-    """What is known of a URDF, with the place of each element."""
+    """The checked content of a URDF, with the place of each element."""
 
     def __init__(self, path: Path, text: str) -> None:
         self.path = path
         root, lines = parse(path, text)
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
-        """Where each element stands."""
+        """Place (file:line) of each element."""
         if any("ros.org/wiki/xacro" in element.tag for element in root):
             hint = f"expand it first: xacro {path.name} > robot.urdf"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
@@ -201,14 +204,14 @@ class _Source:
         self.robot = self._checked(root)
 
     def error(self, element: Element, what: str, within: str = "", hint: str | None = None) -> PluginError:
-        """An error at an element, which is named as a link or joint or by `within`."""
+        """An error at an element. It names the link or joint, or `within`."""
         place = within or f"{element.tag} {element.get('name')}"
         return PluginError(what, where=f"{self.places[element]}: {place}", hint=hint)
 
     def _checked(self, element: Element, above: str = "") -> Element:
-        """A copy of an element with what is known of a URDF alone; `above` names those that it stands in.
+        """A copy of an element with only its known content; `above` names the elements around it.
 
-        Raises PluginError for names and numbers that are none, and for parts that are missing or doubled.
+        Raises PluginError for invalid names and numbers, and for missing or doubled parts.
         """
         tag, parts = element.tag, Counter(part.tag for part in element)
         within, made = f"{above}<{tag}>", Element(tag)
@@ -247,18 +250,18 @@ class _Source:
 
 
 def numbers(text: str, least: float = -LARGEST_NUMBER) -> list[float] | None:
-    """Numbers of a stranger; None where a word is no number, or too small or large."""
+    """Foreign numbers; None if a word is not a number, or is too small or too large."""
     found = [float(word) if _NUMBER.fullmatch(word) else nan for word in text.split()]
     return found if all(least <= number <= LARGEST_NUMBER for number in found) else None
 
 
 def short(text: str) -> str:
-    """A text of a stranger for messages."""
+    """A foreign text for messages."""
     return ascii(text if len(text) <= 60 else f"{text[:57]}...")
 
 
 def read(path: Path) -> Element:
-    """What is known of a URDF: its links, joints and materials, checked one by one.
+    """The content of a URDF: its links, joints and materials, checked one by one.
 
     Raises PluginError when the file is missing or not a URDF; it names the element and its line.
     """
@@ -276,25 +279,25 @@ def load(
     without: tuple[str, ...] = (),
     text: str | None = None,
 ) -> Description:
-    """What is simulated of a URDF. The result is shared until the file changes, and must not be changed.
+    """The simulated part of a URDF. The result is shared until the file changes, and must not be changed.
 
-    Fixed joints and locked joints are merged, with the links that they move, into their parents. What exporters write
-    for other programs (transmissions, ros2_control, gazebo, mimic, safety controllers) is left out. A continuous joint
-    becomes a revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and what they
-    move weighs at least `FINGER_MASS`.
+    Fixed joints and locked joints are merged, with the links that they move, into their parents. Elements for other
+    programs (transmissions, ros2_control, gazebo, mimic, safety controllers) are left out. A continuous joint becomes a
+    revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and their links weigh at
+    least `FINGER_MASS`.
 
     Args:
         path: of the file.
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.
         slides: prismatic joints of a gripper.
-        strict: whether limits, masses and meshes must be such that the robot can be simulated.
+        strict: whether to refuse limits, masses and meshes that cannot be simulated.
         driven: whether joints have motors, so that they need a largest effort and speed.
         mount: a gripper that is not in the file.
-        without: joints that are left out, with all that they carry: a hand in whose place another one is mounted.
-        text: of the file, where it is not what is written there.
+        without: joints that are left out with everything that they carry: a hand that another one replaces.
+        text: of the file, if it differs from the written one.
 
     Raises:
-        PluginError: names the joint or link that is not as a URDF must be, or that cannot be simulated, and its line.
+        PluginError: a joint or link is invalid or cannot be simulated; names it and its line.
     """
     texts = text_of(path) if text is None else text, text_of(mount.path) if mount else ""
     return _load(path, texts, locked, slides, (strict, driven), (mount, without))
@@ -309,7 +312,7 @@ def _load(
     how: tuple[bool, bool],
     hand: tuple[Mount | None, tuple[str, ...]],
 ) -> Description:
-    """`load` of files with these texts: of the robot, and of the gripper that is mounted."""
+    """`load` for files with these texts: of the robot, and of the mounted gripper."""
     (strict, driven), (mount, without) = how, hand
     source = _Source(path, texts[0])
     if without:
@@ -333,7 +336,9 @@ def _load(
         _find_meshes(source)
         if len(moving) > MOST_JOINTS:
             hint = "an arm has five to eight; hold others by `locked`"
-            raise PluginError(f"{len(moving)} joints that move, more than {MOST_JOINTS}", where=str(path), hint=hint)
+            raise PluginError(
+                f"{len(moving)} moving joints; at most {MOST_JOINTS} are allowed", where=str(path), hint=hint
+            )
     _merge(robot, held)
     found = []
     for element in moving:
@@ -353,7 +358,7 @@ def _load(
 def _cut(
     robot: Element, without: tuple[str, ...], locked: tuple[tuple[str, float], ...]
 ) -> tuple[tuple[str, float], ...]:
-    """Leave out joints with all links and joints beyond them; returns what of `locked` is left."""
+    """Leave out joints with all links and joints beyond them; returns the remaining `locked` joints."""
     gone = [joint for joint in robot.findall("joint") if joint.get("name") in without]
     for joint in gone:  # which grows
         child = link_of(joint, "child")
@@ -368,7 +373,7 @@ def _cut(
 def _mount(source: _Source, mount: Mount, text: str) -> None:
     """Add a gripper to an arm, its base merged into the link that carries it.
 
-    Masses are rounded to 6 digits and positions to 1e-12 m, so that the sums of decimals are decimals.
+    Masses are rounded to 6 digits and positions to 1e-12 m, so that sums of decimals stay decimals.
     """
     gripper = _Source(mount.path, text)
     order = _tree(gripper)
@@ -416,7 +421,7 @@ def _six(value: float) -> float:
 
 
 def _tree(source: _Source) -> list[Element]:
-    """The joints from the base outwards, each after the one that moves its parent. Raises PluginError for no tree."""
+    """The joints from the base outwards, each after the joint of its parent. Raises PluginError if it is not a tree."""
     known: dict[tuple[str, str], Element] = {}
     for element in source.robot:
         if (
@@ -458,7 +463,7 @@ def _tree(source: _Source) -> list[Element]:
 
 
 def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dict[str, float]:
-    """The position of every joint that does not move: fixed ones, locked ones and those that mimic a locked one."""
+    """The position of every joint that does not move: fixed and locked joints, and joints that mimic a locked one."""
     held = {element.get("name", ""): 0.0 for element in order if element.get("type") == "fixed"}
     names = [element.get("name", "") for element in order]
     for name in locked:
@@ -474,7 +479,7 @@ def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dic
 
 
 def _make_simple(element: Element, slide: bool) -> None:
-    """Make a continuous joint a revolute one, and let the range of a slide of the gripper begin at 0."""
+    """Convert a continuous joint to a revolute one, and shift the range of a gripper's slide so that it begins at 0."""
     limit = element.find("limit")
     if limit is None:
         return
@@ -503,7 +508,7 @@ def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> 
     # engines treat friction differently, and one ignores it
     friction = float(dynamics.attrib.pop("friction", "0")) if dynamics is not None else 0.0
     values = limit.attrib if limit is not None else {}
-    if limit is not None and not driven:  # engines want them
+    if limit is not None and not driven:  # engines need them
         limit.attrib.update(effort="1000", velocity="1000")
     lower, upper, effort, velocity = (float(values.get(key, nan if strict else 0)) for key in _LIMITS)
     axis, effort = _axis(element), effort - friction
@@ -532,7 +537,7 @@ def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> 
 
 
 def _find_meshes(source: _Source) -> None:
-    """Give every mesh its absolute file name, and leave out looks in Collada: such a link is drawn as it collides."""
+    """Give every mesh its absolute file name. Leave out visuals in Collada; collision shapes are drawn instead."""
     for link in source.robot.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             for mesh in shape.iter("mesh"):
@@ -557,8 +562,8 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
     Args:
         link: the <link>.
         source: where it stands.
-        base: whether it is fixed and needs no mass.
-        least: mass in kg to which it is raised, and its inertia with it.
+        base: whether the link is fixed and needs no mass.
+        least: smallest mass in kg; a smaller one is raised to it, and the inertia with it.
     """
     mass, centre, tensor = inertia_of(link)
     moments, axes = np.linalg.eigh(tensor)
@@ -587,7 +592,7 @@ def _vector(values: Iterable[str | float]) -> Vector:
 
 
 def _axis(joint: Element) -> Vector:
-    """The axis, of length 1; all 0 for one that is shorter than any number of a data sheet."""
+    """The axis with length 1; all 0 if the axis is too short to have a direction."""
     axis = joint.find("axis")
     vector = _vector((axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split())
     length = hypot(*vector)
@@ -616,7 +621,7 @@ def _placed(joint: Element, position: float) -> tuple[Array, Array]:
 def weld(robot: Element, positions: Mapping[str, float]) -> Element:
     """A copy with the named joints fixed at these positions and their links merged into their parents.
 
-    A link costs about a tenth of an arm's physics step, so a gripper that a task never moves is not simulated.
+    A link costs about a tenth of an arm's physics step. Therefore a gripper that a task never moves is not simulated.
     """
     robot = copy.deepcopy(robot)
     _merge(robot, positions)
@@ -656,7 +661,7 @@ def about(axis: Vector, angle: float) -> Array:
 
 
 def _move(element: Element, translation: Array, rotation: Array) -> None:
-    """Give an element, which has an <origin>, that origin in the frame that its own frame stands in."""
+    """Express the <origin> of an element in the frame around its own frame."""
     offset, turn = origin_of(element)
     _set_origin(element, translation + rotation @ offset, rotation @ turn)
 

@@ -1,4 +1,4 @@
-"""From a merged tree to a Spec: binds the plugins that its parts name, validates the settings, explains mistakes."""
+"""Turns a merged tree into a Spec: binds the plugins that its parts name, validates settings, explains mistakes."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Invalid:
 
 
 def bind(tree: Node) -> tuple[Plugins, list[Problem]]:
-    """The plugins that the tree's parts name, imported one at a time, and the problems of these names.
+    """The plugins that the tree's parts name, imported one at a time, and problems with these names.
 
     Raises:
         PluginError: a plugin is broken; at the position that names it.
@@ -189,7 +189,7 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
     errors: dict[Path, list[dict[str, Any]]] = {}
     unions: set[Path] = set()
     for entry in invalid.error.errors(include_url=False):
-        # pydantic's location contains the members of unions, which the spec does not; a missing key stands in neither
+        # pydantic's location contains the members of unions, the spec does not; a missing key is in neither
         steps = [step for step in entry["loc"] if step != "[key]"]
         missing = steps[-1:] if entry["type"] == "missing" else []
         path = (*block.deepest(steps[: len(steps) - len(missing)])[1], *missing)
@@ -201,7 +201,7 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
         kind = entries[0]["type"]
         deeper = any(other != path and other[: len(path)] == path for other in errors)
         if deeper and (path in unions or kind in LENGTHS):
-            continue  # a less specific error of a union's member; the length of a list without its invalid items
+            continue  # a less specific error of a union's member, or the length of a list without its invalid items
         if kind == "missing":
             siblings = (str(other[-1]) for other in unknown if other[:-1] == path[:-1])
             if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in siblings):
@@ -212,7 +212,7 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
 
 
 def _place(tree: Node, path: Path, entry: Mapping[str, Any]) -> Mark:
-    """missing -> the parent's key; unknown -> the key itself; the rest -> the value."""
+    """Position of a mistake: missing key -> the parent's key; unknown key -> the key itself; the rest -> the value."""
     node = tree.deepest(path)[0]
     at_key = entry["type"] in ("missing", "extra_forbidden") or "[key]" in entry["loc"]
     mark = node.place if at_key else node.at
@@ -265,7 +265,7 @@ def _pattern_hint(path: Path) -> str:
 
 
 def _known_keys(invalid: Invalid, path: Path, tree: Node, plugins: Plugins) -> str | None:
-    """A hint for an unknown key: the most similar one, all that are allowed, or where else it is allowed."""
+    """A hint for an unknown key: the most similar key, all allowed keys, or another place where the key is allowed."""
     key = str(path[-1])
     allowed = _keys([invalid.model], path[:-1])
     if len(path) > 1:

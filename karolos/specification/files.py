@@ -1,4 +1,4 @@
-"""Reads YAML, spec files with the files that they extend, and overrides into trees. This module alone imports PyYAML.
+"""Reads YAML, spec files with the files that they extend, and overrides into trees. Only this module imports PyYAML.
 
 PyYAML composes its nodes; their scalars get values by the YAML 1.2 core schema (https://yaml.org/spec/1.2.2, 10.3.2).
 """
@@ -36,7 +36,7 @@ from .tree import (
 )
 
 SHIPPED = "karolos:"
-"""Beginning of the names of the specs that ship with karolos, e.g. karolos:bases/sac_grasp.yaml."""
+"""Prefix of the names of shipped specs, e.g. karolos:bases/sac_grasp.yaml."""
 SPEC_SUFFIXES = (".yaml", ".yml")
 MAX_CHARACTERS = 256 * 1024
 """Largest length of a file. PyYAML reads about 100 kB/s."""
@@ -52,22 +52,22 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Scalar]], ...] = (
     (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
 )
 _PLAIN, _GIVEN = "plain", "given"
-"""Tags of nodes without a tag in the text: scalars without quotes, and all others."""
+"""Tags of nodes without a tag in the text: plain scalars, and all other nodes."""
 _AT_HINT = "name a run by its whole id or its folder, not by @last; put other text with @ in quotes"
 _HINTS = {"'\\t'": "indent with spaces", "another document": "a spec is one document; remove `---`", "'@'": _AT_HINT}
-"""Words of PyYAML's errors -> what to do."""
+"""Words of PyYAML's errors -> hint."""
 
 
 def shipped_specs() -> dict[str, Path]:
-    """The specs that ship with karolos, by their names without suffix, e.g. panda_reach and bases/sac_grasp."""
+    """The shipped specs by their names without suffix, e.g. panda_reach and bases/sac_grasp."""
     return {path.relative_to(SPECS).with_suffix("").as_posix(): path for path in sorted(SPECS.glob("**/*.yaml"))}
 
 
 def find_spec(given: str | Path) -> tuple[Path, str]:
-    """The file that is meant, and its name in positions.
+    """The file that a name means, and its name in positions.
 
     A file of this name comes first. Without one, panda_reach or panda_reach.yaml means the shipped spec of that name;
-    karolos:panda_reach always does. The file of an unknown name is missing, which reading it reports.
+    karolos:panda_reach always does. For an unknown name the file is missing, and reading it reports this.
     """
     text = given.as_posix() if isinstance(given, Path) else given
     name = text.removeprefix(SHIPPED).removesuffix(".yaml")
@@ -88,7 +88,7 @@ def shipped_text(name: str) -> str:
     if not path.exists():
         hint = "`karolos spec list` shows them"
         near = closest(name, shipped_specs())
-        raise UsageError(f"no spec {name!r} ships with karolos", hint=f"did you mean {near}? {hint}" if near else hint)
+        raise UsageError(f"there is no shipped spec {name!r}", hint=f"did you mean {near}? {hint}" if near else hint)
     text = path.read_text("utf-8")
     lines = text.splitlines(keepends=True)
     extends = (read(text, source)[0] or Node({}, Mark(source))).get("extends")
@@ -112,12 +112,12 @@ class SpecFiles:
     problems: list[Problem] = field(default_factory=list)
     """Problems after which reading can continue."""
     broken: list[Problem] = field(default_factory=list)
-    """Problems that leave parts of the spec unknown, so that further checks would mislead."""
+    """Problems that leave parts of the spec unknown. Further checks would then mislead."""
     text: str = ""
     """The text of the root file."""
     count: int = 0
     _done: dict[str, Node] = field(default_factory=dict)
-    """The trees that are read, by the files' real paths."""
+    """The trees of the read files, by their real paths."""
 
     def load(self) -> Node:
         """The merged tree of nodes without shorthand. Collects problems; raises those of the root file.
@@ -204,7 +204,7 @@ def _specs_in(folder: Path) -> list[str]:
 
 def _similar(path: Path) -> str | None:
     """A hint at a file next to `path`, or at a shipped spec, with a similar name."""
-    siblings = {Path(name).stem: name for name in _specs_in(path.parent)}  # the suffixes alone would be similar enough
+    siblings = {Path(name).stem: name for name in _specs_in(path.parent)}  # equal suffixes are no hint
     near = siblings.get(closest(path.stem, siblings) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
@@ -374,7 +374,7 @@ class _YamlReader:
 
 
 class _Loader(yaml.SafeLoader):
-    """Composes nodes, whose tags say whether the text has one, and refuses depth before Python's recursion ends."""
+    """Composes nodes, whose tags say whether the text has one. Refuses a depth beyond Python's recursion limit."""
 
     def __init__(self, text: str, reader: _YamlReader) -> None:
         super().__init__(text)

@@ -1,6 +1,6 @@
-"""The way of a spec: read, merge, bind plugins, validate, explain. All problems are reported at once.
+"""Loads a spec: reads, merges, binds plugins, validates, explains. All problems are reported at once.
 
-Only the settings of a part whose plugin is unknown are not checked.
+Only the settings of a part with an unknown plugin are not checked.
 """
 
 from __future__ import annotations
@@ -38,8 +38,8 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
 
     Args:
         path: of the file, or the name of a shipped spec (`find_spec`).
-        overrides: above all else.
-        above: settings of a suite, above the file's.
+        overrides: have the highest priority.
+        above: settings of a suite; they replace the file's.
 
     Raises:
         SpecError: the file is unreadable or invalid; carries every problem found, at file:line:column.
@@ -104,15 +104,15 @@ def _spec(
 
 
 def _at_causes(problems: list[Problem], written: Node, changes: Sequence[Node], stem: str | None) -> list[Problem]:
-    """The problems, each at the change that causes it: without `agent=ppo` nothing contradicts the spec's buffer.
+    """The problems, each at the change that causes it, e.g. at `agent=ppo` if the spec's buffer does not fit it.
 
-    A problem stays where it is if it is at a change already, or if no single change causes it.
+    A problem keeps its position if that is a change, or if no single change causes it.
     """
     own = {mark for change in changes for node in change.walk() for mark in (node.at, node.key)}
     for place, change in enumerate(changes):
         if all(problem.where in own for problem in problems):
             break  # nothing is left to explain
-        # A problem that is gone without this change is caused by it.
+        # A problem that disappears without this change is caused by it.
         try:
             _, _, without = _resolve(written, [*changes[:place], *changes[place + 1 :]], stem)
         except PluginError:  # the change replaces a broken plugin
@@ -142,7 +142,7 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
         base: the spec that has the sweep.
         drawn: parameter -> number, or label of a choice.
         name: of the trial's runs.
-        seeds: on which it is run.
+        seeds: of the trial's runs.
         source: the origin of its settings, e.g. "trial 7".
 
     Raises:
@@ -162,7 +162,7 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
         variant: of the transfer.
         name: of the runs.
         seeds: on which it is run.
-        fine_tune: whether to change the settings of fine-tuning as well.
+        fine_tune: whether to change also the settings of fine-tuning.
 
     Raises:
         SpecError: the settings are incompatible; reported where they are set.
@@ -181,7 +181,7 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
 
 
 def spec_without(spec: Spec, setting: str) -> Spec:
-    """The spec without a setting, a block or a part that was given, which then has its default."""
+    """The spec without a given setting, block or part, which then gets its default."""
     *above, last = segments(setting)
     block = given = spec.given()
     for key in above:
@@ -197,6 +197,6 @@ def spec_without(spec: Spec, setting: str) -> Spec:
 def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Node:
     """The resolved spec as a tree, with the name and the seeds of other runs.
 
-    Without defaults: where another plugin takes the place of one, those would become its settings.
+    Without defaults: if another plugin replaces one, they would become settings of the other one.
     """
     return from_plain({**base.alone().given(), "name": name, "seeds": list(seeds)}, mark)

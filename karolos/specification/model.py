@@ -23,7 +23,7 @@ NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$"
 
 
 def _portable(name: str) -> str:
-    """The name. Raises ValueError where Windows allows no file of that name."""
+    """The name. Raises ValueError if Windows does not allow a file of this name."""
     if not is_portable(name):
         raise ValueError("cannot name a file on Windows: give another name")
     return name
@@ -45,45 +45,45 @@ class TrainingSettings(Settings):
         default=100_000,
         ge=0,
         le=10**12,
-        description="environment steps of training, all environments together; 0: learn from demonstrations alone",
+        description="environment steps of training, over all environments; 0: learn only from demonstrations",
     )
     batch_size: int = Setting(default=256, ge=1, le=10**7, description="transitions per gradient update")
     replay_ratio: float = Setting(
         default=64.0,
         ge=0,
         le=10**6,
-        description="transitions learned from per environment step: gradient updates x batch size",
+        description="sampled transitions per environment step: gradient updates x batch size",
     )
     warmup_episodes: int = Setting(
         default=20, ge=0, le=10**9, description="episodes of random actions before learning begins"
     )
     device: Literal["auto", "cpu", "cuda"] = Setting(
         default="cpu",
-        description="where the agent learns; auto takes the GPU if there is one. Does not count as a change",
+        description="where the agent learns; auto: the GPU if there is one. Does not count as a change",
     )
     threads: int | None = Setting(
         default=None,
         ge=1,
         le=MAX_THREADS,
-        description="CPU threads of the learner; null leaves it to karolos. Does not count as a change",
+        description="CPU threads of the learner; null: karolos decides. Does not count as a change",
     )
     diverging: float = Setting(
         default=0.5,
         ge=0,
         le=1,
-        description="share of the training episodes that may diverge; more between two tests fails the run. Does not "
+        description="largest share of training episodes that diverge between two tests; more fails the run. Does not "
         "count as a change",
     )
     mode: Literal["lockstep", "async"] = Setting(
         default="lockstep",
-        description="lockstep: every round waits for all environments, and a run is the same bit for bit; async: goes "
-        "on with whatever is ready, and a run depends on timing",
+        description="lockstep: each round waits for all environments, and a repeated run is the same bit for bit; "
+        "async: goes on with the environments that are ready, and a run depends on timing",
     )
     minimum_batch: int | None = Setting(
         default=None,
         ge=1,
         le=10**6,
-        description="async: environments that have to be ready before training goes on; null: 1",
+        description="async: number of environments that must be ready before training goes on; null: 1",
     )
 
     @model_validator(mode="after")
@@ -98,7 +98,7 @@ class TrainingSettings(Settings):
         return (self.minimum_batch or 1) if self.mode == "async" else None
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on. The default mode, lockstep, is not included."""
+        """The settings that change results. The default mode, lockstep, is not included."""
         fixed = self.model_dump(mode="json", exclude={"device", "threads", "diverging", "mode", "minimum_batch"})
         return fixed | ({"mode": self.mode, "minimum_batch": self.at_least} if self.mode == "async" else {})
 
@@ -109,26 +109,26 @@ class DemonstrationSettings(Settings):
     file: str | None = Setting(
         default=None,
         min_length=1,
-        description="folder of a recording instead of the expert: a LeRobotDataset v3, a Minari dataset, or of "
-        "`karolos dataset`; then there is neither noise nor random",
+        description="folder of a recording that replaces the expert: a LeRobotDataset v3, a Minari dataset, or one of "
+        "`karolos dataset`; noise and random do not apply to it",
     )
     columns: dict[str, str] = Setting(
         default={},
-        description="where the recording has a field of observations, observation, achieved_goal, desired_goal or "
-        "action, and in which unit: object_position: observation.state[0:3] mm",
+        description="names in the recording, with units, for fields of the observation, observation, achieved_goal, "
+        "desired_goal or action, e.g. object_position: observation.state[0:3] mm",
     )
     episodes: int = Setting(
-        default=100, ge=1, le=10**6, description="episodes to collect; with file: the first ones, or all if it has less"
+        default=100, ge=1, le=10**6, description="number of episodes; with file: the first ones, or all if it has fewer"
     )
     noise: float = Setting(
         default=0.1, ge=0, le=10, description="standard deviation of the Gaussian noise on the expert's actions"
     )
-    random: float = Setting(default=0.05, ge=0, le=1, description="probability of a uniformly random action instead")
+    random: float = Setting(default=0.05, ge=0, le=1, description="probability that an action is uniformly random")
     share: float | None = Setting(
         default=None,
         gt=0,
         lt=1,
-        description="fraction of each batch from demonstrations; null: sampled like other transitions",
+        description="share of demonstrations in each batch; null: sampled like other transitions",
     )
     updates: int = Setting(
         default=0,
@@ -144,13 +144,13 @@ class DemonstrationSettings(Settings):
         return self
 
     def identity(self) -> dict[str, Any]:
-        """The settings that results depend on: a recording takes the place of noise and random."""
+        """The settings that change results: a recording replaces noise and random."""
         unused = {"file", "columns"} if self.file is None else {"noise", "random"}
         return self.model_dump(mode="json", exclude=unused)
 
 
 TRACKERS = ("mlflow", "wandb", "trackio")
-"""Each has a module NAME_tracker in karolos.experiment."""
+"""Names of trackers. Each has a module NAME_tracker in karolos.experiment."""
 FINAL_SEED_OFFSET = 1_000_000
 """Distance of the final test's root of seeds from `testing.seed`."""
 
@@ -167,8 +167,8 @@ class TestingSettings(Settings):
         default=None,
         ge=0,
         le=10**6,
-        description="episodes of the final test of `last` and of `best`, which are not those of the tests; null: as "
-        "many as in a test; 0: no final test",
+        description="episodes of the final tests of `last` and `best`, all of them held out; null: as many as in a "
+        "test; 0: no final test",
     )
 
     @property
@@ -178,7 +178,7 @@ class TestingSettings(Settings):
 
     @property
     def final_seed(self) -> int:
-        """Root of the seeds of the final test, on whose episodes nothing is chosen."""
+        """Root of the seeds of the final test, whose episodes are held out."""
         return self.seed + FINAL_SEED_OFFSET
 
     def identity(self) -> dict[str, Any]:
@@ -190,18 +190,18 @@ class Continued(Settings):
     """The experiment and the step from which a run continues."""
 
     experiment: Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")] = Setting(description="its hash")
-    at: int = Setting(ge=0, description="environment steps that its runs have taken")
+    at: int = Setting(ge=0, description="environment steps of its runs")
 
 
 _WRITTEN = re.compile(
     r"(?:^|_)(?:logs?|outputs?|out|saves?|videos?|films?|monitor|cache|te?mp|results?)"
     r"(?:_?(?:dir|folder|path|file|to|root)\w*)?(?:_|$)"
 )
-"""Names of settings for files that an environment writes. Their content is no part of an experiment."""
+"""Names of settings for files that an environment writes. Their content does not belong to an experiment."""
 
 
 RECORDING = "demonstrations.file"
-"""Names a folder, whatever the name looks like."""
+"""Name of a setting that always names a folder."""
 
 
 def _by_content(value: Any, found: dict[str, str], path: str = "") -> Any:
@@ -225,19 +225,19 @@ class Spec(Settings):
     Made by `load_spec(path, overrides)` or `spec_from_dict(dictionary)`.
     """
 
-    name: Name = Setting(description="of the experiment; run folders begin with it. Default: the file's name")
+    name: Name = Setting(description="begins the names of run folders. Default: the file's name")
     seeds: Seeds = Setting(
-        (0,), description="one run for each, the root of all its random numbers; a number n: the seeds 0 to n - 1"
+        (0,), description="one run per seed, the root of its random numbers; a number n: seeds 0 to n - 1"
     )
     robot: Annotated[Part, OfKind("robots")] | None = Setting(None, description="the arm; requires a task")
     task: Annotated[Part, OfKind("tasks")] | None = Setting(None, description="what the robot has to do")
     environment: Annotated[Part, OfKind("environments")] = Setting(
-        description="what the agent acts in. Default: robot_task, for a robot and a task"
+        description="the environment of the agent. Default: robot_task, for a robot and a task"
     )
     agent: Annotated[Part, OfKind("agents")] = Setting(description="the learning algorithm")
-    buffer: Annotated[Part, OfKind("buffers")] = Setting(description="what the agent learns from. Default: uniform")
+    buffer: Annotated[Part, OfKind("buffers")] = Setting(description="the buffer of transitions. Default: uniform")
     orchestrator: Annotated[Part, OfKind("orchestrators")] = Setting(
-        description="how environments share the machine. Default: local"
+        description="how environments are spread over processes and machines. Default: local"
     )
     launcher: Annotated[Part, OfKind("launchers")] | None = Setting(
         None, description="where runs are executed: local, ray or slurm; null: local. Does not count as a change"
@@ -246,22 +246,22 @@ class Spec(Settings):
         Annotated[str, StringConstraints(pattern=PARAMETER_PATTERN)], Annotated[Part, OfKind("distributions")]
     ] = Setting(
         {},
-        description="distributions of robot.* and task.* parameters, drawn at each training reset; a number: one value",
+        description="distributions of robot.* and task.* parameters, sampled at each training reset; a number: fixed",
     )
     demonstrations: DemonstrationSettings | None = Setting(
-        None, description="episodes of the task's expert or of a recording, known before training; null: off"
+        None, description="episodes of the task's expert or of a recording, known before training; null: none"
     )
-    training: TrainingSettings = Setting(TrainingSettings(), description="how much is collected and learned")
-    testing: TestingSettings = Setting(TestingSettings(), description="how often and on what the agent is tested")
+    training: TrainingSettings = Setting(TrainingSettings(), description="amounts of collecting and learning")
+    testing: TestingSettings = Setting(TestingSettings(), description="interval, episodes and seeds of tests")
     tracking: Literal["mlflow", "wandb", "trackio"] | None = Setting(
-        None, description="a tracker that gets each test; null: that of KAROLOS_TRACKING. Does not count as a change"
+        None, description="tracker that receives each test; null: that of KAROLOS_TRACKING. Does not count as a change"
     )
     continued_from: Continued | None = Setting(
-        None, description="what the runs go on from; written by `karolos resume RUN training.steps=...` alone"
+        None, description="experiment that these runs continue; only `karolos resume RUN training.steps=...` writes it"
     )
 
-    sweep: Sweep | None = Setting(None, description="a search for good settings, which `karolos sweep` carries out")
-    transfer: Transfer | None = Setting(None, description="a matrix of transfers, which `karolos transfer` carries out")
+    sweep: Sweep | None = Setting(None, description="search for good settings by `karolos sweep`")
+    transfer: Transfer | None = Setting(None, description="matrix of transfers by `karolos transfer`")
 
     _origins: dict[str, str] = PrivateAttr(default_factory=dict)
     _text: str | None = PrivateAttr(default=None)
@@ -285,12 +285,12 @@ class Spec(Settings):
         return self.model_dump(mode="json", exclude_defaults=True)
 
     def given(self) -> dict[str, Any]:
-        """The plugins and the settings that were given, whether they differ from their defaults or not; JSON-able."""
+        """The plugins and the given settings, even if they equal the defaults; JSON-able."""
         given = self.model_dump(mode="json", exclude_unset=True)
         return {key: value for key, value in given.items() if value is not None}
 
     def alone(self) -> Spec:
-        """This spec without sweep, transfer and launcher, which are not a run's own."""
+        """This spec without sweep, transfer and launcher, which do not belong to a run."""
         return self.model_copy(update={"sweep": None, "transfer": None, "launcher": None})
 
     def having(self, key: str, **settings: Any) -> Spec:
@@ -309,9 +309,9 @@ class Spec(Settings):
         return found
 
     def hash(self) -> str:
-        """SHA-256 (hex) of the settings that results depend on. Specs with the same hash are one experiment.
+        """SHA-256 (hex) of the settings that change results. Specs with the same hash are one experiment.
 
-        A file counts by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, tracking,
+        A file is identified by its content, not by its name. Excludes name, seeds, sweep, transfer, launcher, tracking,
         device, threads and settings that a plugin's `Settings.identity()` omits.
         """
         text = json.dumps(_by_content(self._identity(), {}), sort_keys=True, separators=(",", ":"))

@@ -49,7 +49,7 @@ class Part:
         wrong = {path: _SIZE for path, value in values if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63}
         for path, value in (*values, *leaves(given, lists=True)):
             key = next((step for step in reversed(path) if isinstance(step, str)), "")
-            if isinstance(value, SecretStr) or recorded(value, key) != value:  # it looks like one
+            if isinstance(value, SecretStr) or recorded(value, key) != value:  # it looks like a secret
                 wrong[path] = _SECRET
         if errors := [InitErrorDetails(type=error, loc=path, input=0) for path, error in wrong.items()]:
             raise ValidationError.from_exception_data("Part", errors)
@@ -61,16 +61,16 @@ class Part:
         return load(self.kind, self.name)
 
     def make(self, *given: Any, **more: Any) -> Any:
-        """An instance of the plugin: its class is called with the settings and with what is given besides."""
+        """An instance of the plugin: its class is called with the settings and the given arguments."""
         return self.plugin(self.settings, *given, **more)
 
     def dump(self, *, changed: bool = False, given: bool = False) -> dict[str, Any]:
-        """Name and all settings as in a spec, or only those that are no defaults, or that were given; JSON-able."""
+        """Name and settings as in a spec: all, only non-default ones, or only given ones; JSON-able."""
         settings: BaseModel = self.settings
         return {"name": self.name, **settings.model_dump(mode="json", exclude_defaults=changed, exclude_unset=given)}
 
     def identity(self) -> dict[str, Any]:
-        """Name and the settings that results depend on: `Settings.identity()` if defined, otherwise all."""
+        """Name and the settings that change results: `Settings.identity()` if defined, otherwise all."""
         identity = getattr(self.settings, "identity", None)
         found = identity() if callable(identity) else self.settings.model_dump(mode="json")
         return {"name": self.name, **without_later(self.settings, found)}
@@ -78,13 +78,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How to build one environment."""
+    """The description from which one environment is built."""
 
     environment: Part
     robot: Part | None = None
     task: Part | None = None
     randomization: tuple[tuple[str, Part], ...] = ()
-    """Parameters to draw at each reset ("task.gravity") with their distributions, sorted by name."""
+    """Parameters to sample at each reset ("task.gravity") with their distributions, sorted by name."""
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ Schema = dict[str, Any]
 def spec_schema() -> tuple[Schema, list[PluginError]]:
     """The schema, and the errors of plugins that cannot be imported, which it does not contain.
 
-    Keys that an extended file may hold are not required; `karolos check` validates the merged spec.
+    No key is required that an extended file may hold; `karolos check` validates the merged spec.
     """
     definitions: Schema = {}
     broken: list[PluginError] = []
@@ -93,7 +93,7 @@ def _settings(model: type[BaseModel], name: str, definitions: Schema) -> Schema:
 
 
 def _or_null(schema: Schema) -> Schema:
-    """The schema with null, which removes a key, also one of an extended file."""
+    """The schema with null, which removes a key of the file or of an extended file."""
     description = schema.pop("description", None)
     either = {"anyOf": [*schema.get("anyOf", [schema]), {"type": "null"}]}
     return {"description": description, **either} if description else either

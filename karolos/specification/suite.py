@@ -1,4 +1,4 @@
-"""Suites: files that name several specs, with settings that hold for all or for one of them."""
+"""Suites: files that list several specs, with settings for all or for one of them."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from .tree import Node, nested, refusal, refuse, shown
 class SuiteEntry(Settings):
     """One spec of a suite."""
 
-    spec: str = Setting(description="a spec file, relative to the suite's, or the name of one that ships")
+    spec: str = Setting(description="spec: a path relative to the suite's file, or the name of a shipped spec")
     overrides: dict[str, Any] = Setting({}, description="settings of this spec, e.g. training.steps: 1e5")
 
 
 class SuiteFile(Settings):
-    """The content of a suite file. An entry of `specs` may be the spec alone."""
+    """The content of a suite file. An entry of `specs` may be only the spec."""
 
-    name: Name = Setting(description="default: the file's name")
-    specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="what is trained")
+    name: Name = Setting(description="name of the suite. Default: the file's name")
+    specs: tuple[SuiteEntry, ...] = Setting(min_length=1, description="the specs to train")
     overrides: dict[str, Any] = Setting({}, description="settings of all specs, e.g. seeds: [0, 1, 2]")
     measures: tuple[str, ...] = Setting((), description="measures that the report shows; empty: all")
 
@@ -71,7 +71,7 @@ def _lost(before: Mapping[str, Any], now: Mapping[str, Any], path: str = "") -> 
 
 
 def is_suite(path: str | Path) -> bool:
-    """Whether a file, or the shipped one of this name, names `specs`. False if it cannot be read."""
+    """Whether a file, or the shipped file of this name, has the key `specs`. False if it cannot be read."""
     try:
         return SpecFiles(path).load().get("specs") is not None
     except SpecError:
@@ -79,10 +79,10 @@ def is_suite(path: str | Path) -> bool:
 
 
 def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
-    """The suite in a YAML file. `overrides` hold for every spec, above what the suite says.
+    """The suite in a YAML file. `overrides` change every spec, and replace settings of the suite.
 
-    An agent that needs the other kind of buffer, and no override names one, gets `on_policy` or `uniform`. A spec that
-    an override makes invalid is `refused`, if another one is valid.
+    An agent that needs the other kind of buffer gets `on_policy` or `uniform`, unless an override names a buffer. A
+    spec that an override makes invalid is `refused`, if another spec is valid.
 
     Raises:
         SpecError: the suite or a spec is invalid; carries every problem found, at file:line:column.

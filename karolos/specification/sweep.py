@@ -66,19 +66,19 @@ OBJECTIVES: dict[str, Direction] = {
 }
 """Objectives of a trial and their directions. Each is a mean over the seeds.
 
-success and return are those of the policy `last` in the final test; trials have none, and theirs are of the last test.
+success and return are those of the policy `last` in the final test. Trials have no final test: the last test counts.
 mean_* is the mean over all tests, the area under the learning curve.
 steps_to_* is the number of environment steps until the first test with that `end` success; a run that never reaches it
 counts twice its steps (PAR2, penalised run time in algorithm configuration)."""
 MEASURES = "measures."
-"""Beginning of objectives that are measures of the environment. They are of the same test as success."""
+"""Prefix of objectives that are measures of the environment. They come from the same test as success."""
 DEFAULT_TRIALS = 20
 MOST_COMBINATIONS = 100_000
 """Largest number of combinations of a grid, which are listed before the first trial."""
 
 
 def directions(objectives: Sequence[str], measures: Sequence[Measure]) -> tuple[Direction, ...]:
-    """maximize or minimize, for each objective. The environment's measures say which values are better.
+    """maximize or minimize, for each objective. An environment's measure says whether smaller values are better.
 
     Raises UsageError for a measure that the environment does not declare.
     """
@@ -93,7 +93,7 @@ def directions(objectives: Sequence[str], measures: Sequence[Measure]) -> tuple[
 
 
 def label(value: object) -> str:
-    """The name of a choice in the journal, in figures and in `when`."""
+    """The label of a choice's value in the journal, in figures and in `when`."""
     return value if isinstance(value, str) else json.dumps(value)
 
 
@@ -108,7 +108,7 @@ class SweepParameter(Settings):
     log: bool = Setting(False, description="whether to sample the logarithm uniformly")
     points: Whole | None = Setting(None, ge=2, le=10_000, description="number of values of a range in a grid")
     when: dict[str, Any] = Setting(
-        {}, description="search only in trials in which these choices have this value, or one of these values"
+        {}, description="search only in trials in which these settings have this value, or one of these values"
     )
 
     @model_validator(mode="after")
@@ -135,7 +135,7 @@ class SweepParameter(Settings):
     def bounds(self) -> tuple[Number, Number]:
         """The ends of a range."""
         bounds = self.float or self.int
-        assert bounds is not None  # called for ranges only
+        assert bounds is not None  # called only for ranges
         return bounds
 
     @property
@@ -166,7 +166,7 @@ class SweepParameter(Settings):
         return list(dict.fromkeys(map(round, values))) if self.int is not None else values
 
     def value(self, drawn: Any) -> Any:
-        """The setting's value for a drawn label or number."""
+        """The setting's value for a sampled label or number."""
         return drawn if self.choice is None else self.choices[drawn]
 
     def accepted(self, condition: object) -> set[str]:
@@ -187,21 +187,21 @@ class Pruner(Settings):
 
     name: Literal["median"] = Setting("median", description="stop a trial whose best test so far is below the median")
     warmup: float = Setting(
-        0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; 0.3 at least"
+        0.3, ge=0.3, lt=1, description="share of training.steps before which no trial is stopped; at least 0.3"
     )
-    startup: int = Setting(5, ge=1, le=10**6, description="trials that have to be complete before one is stopped")
+    startup: int = Setting(5, ge=1, le=10**6, description="number of complete trials before a trial can be stopped")
 
 
 class FinalSettings(Settings):
-    """The final phase, on new seeds, because hyper-parameters overfit the seeds that they were tuned on.
+    """The final phase, on new seeds, because hyper-parameters overfit the seeds of their tuning.
 
     Source: Eimer et al. 2023, "Hyperparameters in Reinforcement Learning and How To Tune Them".
     """
 
-    top: int = Setting(3, ge=1, le=1000, description="number of best trials to choose from")
-    seeds: int = Setting(3, ge=1, le=1000, description="number of new seeds to choose by")
+    top: int = Setting(3, ge=1, le=1000, description="number of best trials that are tested on new seeds")
+    seeds: int = Setting(3, ge=1, le=1000, description="number of new seeds that decide between them")
     report_seeds: int = Setting(
-        5, ge=1, le=1000, description="number of further seeds, on which the chosen trial is reported"
+        5, ge=1, le=1000, description="number of other new seeds, on which the chosen trial is reported"
     )
 
 
@@ -224,10 +224,10 @@ class Sweep(Settings):
     )
     seeds: Seeds = Setting((0, 1), description="seeds of every trial")
     objective: Annotated[str | tuple[str, ...], AfterValidator(_objectives)] = Setting(
-        "success_end", description=f"one or several of {', '.join(OBJECTIVES)}, measures.NAME"
+        "success_end", description=f"one or more of {', '.join(OBJECTIVES)}, measures.NAME"
     )
     sampler: Literal["tpe", "gp", "random", "grid"] = Setting(
-        "tpe", description="Parzen estimators, Gaussian process, random values, or every combination (100,000 at most)"
+        "tpe", description="Parzen estimators, Gaussian process, random values, or all combinations (at most 100,000)"
     )
     pruner: Pruner | None = Setting(None, description="stops trials early; null: off")
     seed: Seed = Setting(0, description="root of the sampler's random numbers")
@@ -261,7 +261,7 @@ class Sweep(Settings):
         return list(ordered)
 
     def is_active(self, key: str, drawn: Mapping[str, Any]) -> bool:
-        """Whether a parameter is searched in a trial with these drawn values."""
+        """Whether a parameter is searched in a trial with these sampled values."""
         conditions = self.space[key].when.items()
         return all(on in drawn and drawn[on] in self.space[on].accepted(value) for on, value in conditions)
 
@@ -292,9 +292,9 @@ FIXED_SETTINGS = {
     "seeds": "sweep.seeds says on which seeds",
     "name": "the sweep names its trials",
 }
-"""Settings that are the same in all trials, and why."""
+"""Settings that cannot be searched -> the reason."""
 MAX_COMBINATIONS = 200
-"""Largest number of combinations of the choices a parameter depends on with which it is validated."""
+"""Largest number of combinations, of the choices that a parameter depends on, with which it is validated."""
 
 
 def application_order(keys: Iterable[str]) -> list[str]:
@@ -315,7 +315,7 @@ def space_problems(space: Node, sweep: Sweep, problems_of: Callable[[Sequence[No
         return problems
     values = {key: _values(space[key], sweep, key) for key in sweep.space}
     wrong: dict[Problem, None] = {}
-    refused: set[tuple[str, Any]] = set()  # so that dependent parameters report no further problems
+    refused: set[tuple[str, Any]] = set()  # so that dependent parameters do not report more problems
     for key in sorted(sweep.space, key=lambda one: len(_depends(sweep, one))):
         for drawn in _combinations(sweep, key):
             if refused & drawn.items():
@@ -411,7 +411,7 @@ def _depends(sweep: Sweep, key: str) -> list[str]:
 
 
 def _values(node: Node, sweep: Sweep, key: str) -> dict[Any, Node]:
-    """The values to try, both ends of a range or the labels of all choices, and their nodes in the search space."""
+    """The values to validate (both ends of a range, or all labels of a choice), and their nodes in the search space."""
     parameter = sweep.space[key]
     kind = next(kind for kind in ("float", "int", "choice") if getattr(parameter, kind) is not None)
     nodes = node[kind].items if node[kind].mapping is None else list(node[kind].value.values())
@@ -421,15 +421,15 @@ def _values(node: Node, sweep: Sweep, key: str) -> dict[Any, Node]:
 
 Mode = Literal["zero_shot", "fine_tune", "scratch"]
 VARIANT_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9._-]{0,23}$"
-"""Names of variants are parts of run folders."""
+"""Pattern of the names of variants, which are parts of the names of run folders."""
 VARIANT_KEYS = ("robot", "task", "environment")
-"""Keys of a spec below which variants differ."""
+"""Keys of a spec below which variants may differ."""
 FINE_TUNE_KEYS = ("agent", "buffer", "demonstrations", "training", "testing.interval", "testing.final_episodes")
-"""Keys of a spec below which fine-tuning differs from training from scratch."""
+"""Keys of a spec below which fine-tuning may differ from training from scratch."""
 
 
 def _below(allowed: tuple[str, ...], what: str) -> AfterValidator:
-    """Checks the key of a setting. An error of a key is reported where the key stands."""
+    """Checks the key of a setting. An error is reported at the key."""
 
     def check(key: str) -> str:
         if not f"{key}.".startswith(tuple(f"{one}." for one in allowed)):
@@ -444,21 +444,27 @@ FineTuneKey = Annotated[str, _below(FINE_TUNE_KEYS, "fine_tune")]
 
 
 class Transfer(Settings):
-    """A matrix: each variant is a source of policies and a target for the policies of the others."""
+    """A matrix: each variant is a target for the policies of the sources, and a source itself unless `sources` says."""
 
     robots: tuple[str, ...] | None = Setting(None, description="names of the robots to transfer between")
     variants: dict[Annotated[str, StringConstraints(pattern=VARIANT_PATTERN)], dict[VariantKey, Any]] | None = Setting(
-        None, description="instead of robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
+        None, description="alternative to robots: name -> settings, e.g. mujoco: {environment.engine: mujoco}"
+    )
+    sources: tuple[str, ...] | None = Setting(
+        None, description="the variants whose policies are tested on the others; null: all"
+    )
+    references: tuple[str, ...] = Setting(
+        (), description="further variants with runs of their own, which say what training there achieves"
     )
     modes: tuple[Mode, ...] = Setting(
         ("zero_shot", "fine_tune", "scratch"),
-        description="zero_shot: test a source's policy on the target; fine_tune: train it on there; "
-        "scratch: compare fine-tuning with the target's own training",
+        description="zero_shot: test a source's policy on the target; fine_tune: train it further on the target; "
+        "scratch: compare fine-tuning with training on the target from scratch",
     )
     fine_tune: dict[FineTuneKey, Any] = Setting(
         {}, description="settings of fine-tuning that differ from the spec's, e.g. training.steps: 100000"
     )
-    threshold: float = Setting(0.95, gt=0, le=1, description="success ratio for the time to threshold")
+    threshold: float = Setting(0.95, gt=0, le=1, description="success ratio that defines the time to threshold")
 
     @model_validator(mode="after")
     def _consistent(self) -> Any:
@@ -480,7 +486,18 @@ class Transfer(Settings):
         if not {"zero_shot", "fine_tune"} & set(self.modes):
             raise ValueError("transfers nothing: add zero_shot or fine_tune to modes")
         if self.fine_tune and "fine_tune" not in self.modes:
-            raise ValueError("fine_tune is a budget that no mode uses: add fine_tune to modes, or remove it")
+            raise ValueError("no mode uses fine_tune: add fine_tune to modes, or remove it")
+        return self
+
+    @model_validator(mode="after")
+    def _knows_sources(self) -> Any:
+        for name in (*(self.sources or ()), *self.references):
+            if name not in self.settings:
+                raise ValueError(f"{name} is no variant, which are {', '.join(self.settings)}")
+        if self.sources == ():
+            raise ValueError("needs a source, or sources: null for all")
+        if self.references and "scratch" not in self.modes:
+            raise ValueError("has references that no mode uses: add scratch to modes")
         return self
 
     @property
@@ -489,6 +506,16 @@ class Transfer(Settings):
         if self.robots is not None:
             return {name: {"robot.name": name} for name in self.robots}
         return self.variants or {}
+
+    @property
+    def source_names(self) -> tuple[str, ...]:
+        """The sources, in the order of the variants."""
+        return tuple(name for name in self.settings if self.sources is None or name in self.sources)
+
+    @property
+    def trained(self) -> tuple[str, ...]:
+        """Sources and references: the variants with runs of their own."""
+        return tuple(name for name in self.settings if name in (*self.source_names, *self.references))
 
     def place(self, variant: str) -> str:
         """The key path in the spec that makes a variant."""

@@ -1,4 +1,4 @@
-"""A spec as a tree of nodes with source positions, and how such trees are merged."""
+"""A spec as a tree of nodes with source positions, and the merging of such trees."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ PARTS = {
 }
 """Keys of a spec that hold a part, and their kinds of plugins."""
 ROBOT_TASK = "robot_task"
-"""The environment that consists of a robot and a task."""
+"""Name of the environment that consists of a robot and a task."""
 DEFAULT_PLUGINS = {"environment": ROBOT_TASK, "buffer": "uniform", "orchestrator": "local"}
-"""The plugins of parts that a spec may leave out; `robot_task` needs a robot and a task."""
+"""The default plugins of parts. `robot_task` needs a robot and a task."""
 RANDOMIZATION = "randomization"
 SWEEP = "sweep"
 TRANSFER = "transfer"
@@ -51,9 +51,9 @@ class Mark:
 
     source: str
     line: int = 0
-    """From 1; 0 for a source without lines."""
+    """Line from 1; 0 for a source without lines."""
     column: int = 0
-    """From 1; 0 for a source without columns."""
+    """Column from 1; 0 for a source without columns."""
     rank: int = 0
     """Index of the source, by which problems are sorted."""
 
@@ -189,7 +189,7 @@ def _from_plain(value: object, mark: Mark, path: Path, problems: list[Problem]) 
         problems.append(Problem(mark, dotted(path), f"nested deeper than {MAX_DEPTH} levels"))
     elif value is None or isinstance(value, bool | str):
         plain = value
-    elif isinstance(value, Real):  # numpy's numbers as well
+    elif isinstance(value, Real):  # also numpy's numbers
         plain = int(value) if isinstance(value, Integral) else float(value)
     elif isinstance(value, Mapping):
         plain = {}
@@ -207,7 +207,7 @@ def _from_plain(value: object, mark: Mark, path: Path, problems: list[Problem]) 
 
 
 def leaves(value: object, path: Path = (), *, lists: bool = False) -> Iterator[tuple[tuple[Any, ...], object]]:
-    """All values in nested dicts that are not non-empty dicts, with their paths; `lists`: in nested lists as well."""
+    """All leaves of nested dicts with their paths (an empty dict is a leaf); `lists`: also those of nested lists."""
     if lists and isinstance(value, list | tuple):
         value = dict(enumerate(value))
     if isinstance(value, dict) and (value or not path):
@@ -218,12 +218,12 @@ def leaves(value: object, path: Path = (), *, lists: bool = False) -> Iterator[t
 
 
 def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
-    """A problem for each path that begins with ~ or contains a $VARIABLE. The launcher's commands and secrets may."""
+    """A problem for each path that begins with ~ or contains a $VARIABLE. Launcher commands and secrets may do so."""
     entries = tree.mapping.items() if tree.mapping is not None else enumerate(tree.items or ())
     for key, node in entries:
         if (*path, key) != ("launcher",):
             yield from variable_problems(node, (*path, key))
-    # A plugin reads a secret from the variable that is named.
+    # a plugin reads a secret from the named variable
     secret = is_secret(next((step for step in reversed(path) if isinstance(step, str)), ""))
     if not secret and isinstance(tree.value, str) and _VARIABLE.match(tree.value):
         what = f"{shown(tree.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
@@ -247,7 +247,7 @@ def anchored(node: Node, folder: FilePath) -> Node:
 
 
 def _found(name: str, folder: FilePath) -> FilePath | str:
-    """A file by its absolute name; one of a package that is missing keeps its name."""
+    """A file by its absolute name. A file of a missing package keeps its name."""
     return (installed_file(name) or name) if name.startswith(INSTALLED) else folder / name
 
 
@@ -274,8 +274,8 @@ def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
 def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
     """Merge `above` into `below`, mapping by mapping; other values are replaced.
 
-    A part with another name replaces the whole part, because plugins have different settings. (For changes of
-    the name alone see `merge`.) A parameter of a search space is replaced as a whole.
+    A part with another name replaces the whole part, because plugins have different settings. (For changes of only
+    the name see `merge`.) A parameter of a search space is replaced as a whole.
     """
     if below.mapping is None or above.mapping is None:
         return above
@@ -315,11 +315,11 @@ def segments(key: str) -> list[str]:
 
 
 def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) -> Node:
-    """The whole spec: what is written, with changes on top, without nulls, and with a name and all default parts.
+    """The whole spec: the written tree with changes on top, without nulls, with a name and all default parts.
 
-    A change that names another plugin keeps the settings that both plugins declare with the same type and that it does
-    not give: `buffer.name=priority` and `buffer={name: priority, alpha: 0.5}` retain capacity, hindsight and n_step of
-    a uniform buffer. A file that names another plugin replaces the whole part instead.
+    A change that names another plugin keeps settings that both plugins declare with the same type, unless it gives
+    them: `buffer.name=priority` and `buffer={name: priority, alpha: 0.5}` keep capacity, hindsight and n_step of a
+    uniform buffer. A file that names another plugin, however, replaces the whole part.
 
     Args:
         stem: of the file, the default of the spec's name.
@@ -339,7 +339,7 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
 
 
 def _with_shared_settings(tree: Node, change: Node) -> Node:
-    """The change; if it names another plugin, with the settings that both declare and that it does not give."""
+    """The change; if it names another plugin, completed by the settings that both declare."""
     for key, above in (change.mapping or {}).items():  # one entry
         below = tree.get(key)
         if key in PARTS and below is not None and above.mapping is not None and _changes_name(below, above):
@@ -351,7 +351,7 @@ def _with_shared_settings(tree: Node, change: Node) -> Node:
 
 
 def _types(key: str, name: object) -> dict[str, object]:
-    """The settings of a plugin with their types; empty if it cannot be loaded, which `bind` reports."""
+    """The settings of a plugin with their types. Empty if it cannot be loaded; `bind` reports this."""
     plugin = loaded(PARTS[key], name)
     return {field: info.annotation for field, info in plugin.Settings.model_fields.items()} if plugin else {}
 
@@ -369,7 +369,7 @@ def _without_nulls(node: Node, path: tuple[str, ...] = ()) -> Node:
 
 
 def _described(given: Mapping[str, Node]) -> str:
-    """A name for a spec without a file: what the agent learns in."""
+    """A name for a spec without a file: its robot and task, or its environment."""
     keys = ("robot", "task") if "robot" in given and "task" in given else ("environment",)
     words = [node.value if (node := given[key].get("name")) else None for key in keys if key in given]
     return "_".join(str(word) for word in words) or "experiment"

@@ -19,33 +19,33 @@ Statistic = Callable[[_Floats], _Floats]
 """A number for each row: values (..., n) to (...)."""
 RESAMPLES = 2000
 MANY = 1000
-"""Values from which on they are not sorted, but divided at the quartiles."""
+"""Number of values above which they are partitioned at the quartiles, not sorted."""
 DRAWN = 1 << 20
 """Largest number of values sampled at a time, so that the memory does not grow with the number of seeds."""
 BAND_DRAWS = 1 << 20
-"""Values that a band is made of at each point. With more than 524 seeds it has fewer resamples, at least 200."""
+"""Number of values of a band at each point. With more than 524 seeds it has fewer resamples, at least 200."""
 LEVELS = ((1 - 0.95) / 2, (1 + 0.95) / 2)
 """Quantiles at the ends of a 95 % interval."""
 FEW_SEEDS = 5
-"""Fewest seeds with a bootstrap interval."""
+"""Smallest number of seeds for a bootstrap interval."""
 MOST_UNKNOWN = LEVELS[0]
-"""Largest share of resamples without a value: with more, an end of the interval could be any of theirs."""
+"""Largest share of resamples without a value. With a larger one an end of the interval would be unknown."""
 
 
 def mean(values: ArrayLike) -> _Floats:
-    """Over the last axis: (..., n) to (...)."""
+    """Mean over the last axis: (..., n) to (...)."""
     return np.asarray(np.mean(np.asarray(values, float), axis=-1))
 
 
 def iqm(values: ArrayLike) -> _Floats:
     """Inter-quartile mean over the last axis: (..., n) to (...). A quarter, rounded down, is left out at each end.
 
-    nan where a value is.
+    nan if a value is nan.
     """
     ordered = np.asarray(values, float)
     count = ordered.shape[-1]
     cut = count // 4
-    # nan last; of many values it is enough to know which are in the middle
+    # nan last; for many values a partition at the quartiles is enough
     ordered = np.sort(ordered) if count < MANY else np.partition(ordered, (cut, count - 1 - cut, count - 1))
     middle = ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
     return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
@@ -76,7 +76,7 @@ def paired_interval(
     known = found[~np.isnan(found)]
     if known.size < (1 - MOST_UNKNOWN) * RESAMPLES:
         return None
-    low, high = np.quantile(known, LEVELS, method="inverted_cdf")  # interpolation would make nan of two infinite ones
+    low, high = np.quantile(known, LEVELS, method="inverted_cdf")  # interpolation of two infinite values would give nan
     return float(low), float(high)
 
 
@@ -96,7 +96,7 @@ def band(values: ArrayLike, statistic: Statistic, generator: Generator) -> tuple
 
 
 def _resamples(generator: Generator, seeds: int, count: int = RESAMPLES) -> Iterator[NDArray[np.int64]]:
-    """`count` resamples of the seeds' places, some at a time: (k, seeds) each."""
+    """`count` resamples of the seeds' indices, in blocks: (k, seeds) each."""
     some = max(DRAWN // seeds, 1)
     for first in range(0, count, some):
         yield generator.integers(0, seeds, (min(some, count - first), seeds))

@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 GRID_POINTS = 101
-"""Points of a density over [0, 1]; Simpson's rule needs an odd number."""
+"""Number of points of a density over [0, 1]; Simpson's rule needs an odd number."""
 SMALLEST_BANDWIDTH = 0.02
-"""Two grid steps. The grid cannot show narrower kernels, and equal values would give a width of 0."""
+"""Smallest bandwidth: two grid steps. The grid cannot show narrower kernels; equal values would give a width of 0."""
 
 _Floats = NDArray[np.float64]
 
@@ -27,7 +27,7 @@ class Density:
         grid: (101,) points from 0 to 1.
         density: (101,) non-negative; its integral by Simpson's rule is 1.
         bandwidth: standard deviation of the kernel.
-        mode: where the density is largest (the first of equals).
+        mode: place of the largest density (the first one of equals).
         modes: every local maximum, in ascending order.
         mean: of the density.
         low: 5 % of the mass is below.

@@ -1,4 +1,4 @@
-"""The interval of a success ratio, without numpy, whose import would take longer than a table of runs."""
+"""The interval of a success ratio, without numpy: its import would take longer than a table of runs."""
 
 from __future__ import annotations
 

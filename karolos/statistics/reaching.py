@@ -1,4 +1,4 @@
-"""When runs first reach a threshold, of which some end before.
+"""Times at which runs first reach a threshold; some runs end before they reach it.
 
 Source: Kaplan and Meier 1958, J. Am. Stat. Assoc. 53, 457.
 """
@@ -21,10 +21,10 @@ def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: floa
 def kaplan_meier(times: ArrayLike, reached: ArrayLike) -> tuple[_Floats, _Floats]:
     """Kaplan-Meier estimate of the fraction of runs that have not reached a threshold yet.
 
-    At each time t with d runs that reach it of r runs that are still observed, the fraction is multiplied by 1 - d / r.
+    At each time t at which d of r observed runs reach it, the fraction is multiplied by 1 - d / r.
 
     Args:
-        times: (..., n) steps at which each run reached the threshold, or at which it ended without.
+        times: (..., n) steps at which each run reached the threshold or ended.
         reached: (..., n) whether it reached it; otherwise it is censored.
 
     Returns:
@@ -54,7 +54,7 @@ def median_time(times: ArrayLike, reached: ArrayLike) -> _Floats:
 def median_reaching(places: Sequence[float | None]) -> float | None:
     """Median over seeds of the steps or seconds to a threshold; a seed that never reached it counts as infinite.
 
-    That is `median_time` where all runs are equally long, and more than it where one broke off. None if it is infinite.
+    It equals `median_time` if all runs are equally long, and is larger if one was aborted. None if it is infinite.
     """
     if not places:
         return None

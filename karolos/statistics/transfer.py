@@ -17,7 +17,7 @@ _Floats = NDArray[np.float64]
 
 
 def ratio_of_means(values: ArrayLike, baseline: ArrayLike) -> _Floats:
-    """Mean of the values by the mean of the baseline, (..., n) each to (...); nan where that is 0."""
+    """Mean of the values divided by the mean of the baseline, (..., n) each to (...); nan if that is 0."""
     above, below = mean(values), mean(baseline)
     return np.divide(above, below, out=np.full_like(above, np.nan), where=below > 0)
 
@@ -25,8 +25,8 @@ def ratio_of_means(values: ArrayLike, baseline: ArrayLike) -> _Floats:
 def forward_transfer(areas: ArrayLike, scratch: ArrayLike) -> _Floats:
     """Forward transfer (AUC - AUC_scratch) / (1 - AUC_scratch) of mean areas, (..., n) each to (...).
 
-    1: success from the first test on; 0: no gain over training from scratch; negative: worse than from scratch. nan
-    where training from scratch leaves nothing to gain. Source: Wolczyk et al. 2021, section 4.
+    1: success from the first test on; 0: no gain over training from scratch; negative: worse than from scratch; nan if
+    training from scratch leaves nothing to gain. Source: Wolczyk et al. 2021, section 4.
     """
     tuned, baseline = mean(areas), mean(scratch)
     return np.divide(tuned - baseline, 1 - baseline, out=np.full_like(tuned, np.nan), where=baseline < 1)
@@ -48,9 +48,9 @@ def area_under_curve(at: ArrayLike, values: ArrayLike, start: float, end: float)
 
 
 def median_time_ratio(times: ArrayLike, reached: ArrayLike, scratch: ArrayLike, scratch_reached: ArrayLike) -> _Floats:
-    """Median time to threshold by that of training from scratch, (..., n) each to (...).
+    """Median time to threshold divided by that of training from scratch, (..., n) each to (...).
 
-    inf where the first is infinite, 0 where that from scratch is, nan where both are.
+    inf if the first is infinite, 0 if that from scratch is infinite, nan if both are.
     """
     tuned, baseline = median_time(times, reached), median_time(scratch, scratch_reached)
     with np.errstate(invalid="ignore"):  # inf / inf

@@ -1,7 +1,7 @@
 """Database: the connection to the results database and its transactions, on SQLite or any other URL.
 
-Measured for SQLite: the driver's default loses updates silently, WAL with a plain BEGIN fails when a reader becomes a
-writer and has a race that corrupts before 3.51.3. Therefore: rollback journal, BEGIN IMMEDIATE for writers, a busy
+Measured for SQLite: the driver's default loses updates silently. WAL with a plain BEGIN fails when a reader becomes a
+writer, and before 3.51.3 a race corrupts the file. Therefore: rollback journal, BEGIN IMMEDIATE for writers, a busy
 timeout, synchronous FULL, foreign keys on.
 """
 
@@ -37,11 +37,11 @@ from ..files import writing as writing_file
 from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
 
 BUSY_SECONDS = 20.0
-"""How long a transaction waits for those of other processes, which hold the lock for milliseconds."""
+"""Time that a transaction waits for other processes, which hold the lock for milliseconds."""
 _READ = "karolos_read"
 """Execution option of a connection that only reads and therefore does not wait for writers."""
 _CHANGE_COUNTER = 24
-"""Where SQLite counts transactions in the header of its file (https://www.sqlite.org/fileformat.html)."""
+"""Place of the counter of transactions in the header of SQLite's file (https://www.sqlite.org/fileformat.html)."""
 _ADVISORY_LOCK = 0x6B61726F  # arbitrary, the same in every karolos
 _LOCK_NOT_AVAILABLE = "55P03"
 """PostgreSQL's code of the error after `lock_timeout`."""
@@ -73,11 +73,11 @@ class Database:
         upgrade: replace the tables of an older karolos by empty ones of this one.
 
     Attributes:
-        forgotten: runs that were in the tables that `upgrade` replaced; None if it replaced nothing.
+        forgotten: runs in the tables that `upgrade` replaced; None if it replaced nothing.
         url: parsed.
         name: the URL without its password, for messages.
         home: folder of a SQLite database, None for any other.
-        engine: SQLAlchemy's; use `reading` and `writing` unless you know why not.
+        engine: SQLAlchemy's; `reading` and `writing` are nearly always better.
 
     Raises:
         StoreError: from every method, if the database is locked, read-only, damaged, not a karolos database or of
@@ -112,7 +112,7 @@ class Database:
         self.engine.dispose()
 
     def version(self) -> bytes:
-        """Changes with every transaction that writes, and always where that cannot be told. SQLite needs no query.
+        """A value that changes with every writing transaction, or always if this is unknown. SQLite needs no query.
 
         PostgreSQL counts the transactions of a whole server: writes to its other databases change it, too.
         """
@@ -148,7 +148,7 @@ class Database:
             return connection.execute(query).all()
 
     def _ensure_tables(self, upgrade: bool) -> None:
-        """Create the tables in a database that is new, empty or to be upgraded; refuse one that is not ours."""
+        """Create the tables in a database that is new, empty or to be upgraded. Refuse a foreign database."""
         if self._path is not None and not os.path.exists(self._path):  # Path.exists raises where it may not search
             with writing_file(self._path):
                 self._path.parent.mkdir(parents=True, exist_ok=True)
@@ -157,7 +157,7 @@ class Database:
             if self._check_schema(connection, upgrade):
                 return
         with self.writing() as connection:
-            if not self._check_schema(connection, upgrade):  # whoever comes first creates them
+            if not self._check_schema(connection, upgrade):  # the first process creates them
                 older = MetaData()
                 older.reflect(connection, only=lambda name, _: name in {*TABLES.tables, *OLDER_TABLES})
                 if "runs" in older.tables:
@@ -214,7 +214,7 @@ def explained(url: URL) -> Iterator[None]:
 
 
 def _first_line(error: Exception) -> str:
-    """What the driver says, without passwords."""
+    """The driver's message without passwords."""
     driver = getattr(error, "orig", None) or error
     return redact((str(driver).strip().splitlines() or [type(driver).__name__])[0])
 

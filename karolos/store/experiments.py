@@ -1,6 +1,6 @@
 """Experiments with their runs: pages of them, their curves, and the densities of their success ratios.
 
-Without a filter all columns of one page only are read.
+Without a filter, all columns of only one page are read.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from .store import Store, summaries
 from .tables import RUNS, SPECS, SUCCESSES, TESTS, put
 
 ORDERS = ("created", "name", "success_end", "mean_return", "steps", "seconds")
-"""What experiments can be sorted by: means over their finished runs, and when the newest run was created."""
+"""Sort keys of experiments: means over their finished runs, and the time of the newest run."""
 SMALLEST_FIRST = ("name", "steps", "seconds")
 
 
@@ -33,9 +33,9 @@ class ExperimentPage:
     """Some of the experiments that match a filter."""
 
     experiments: tuple[tuple[RunSummary, ...], ...]
-    """The matching runs of each, the newest first."""
+    """The matching runs of each experiment, newest first."""
     total: int
-    """Experiments that match, on all pages."""
+    """Number of matching experiments on all pages."""
 
 
 class CurvePoint(NamedTuple):
@@ -69,7 +69,7 @@ def find_experiments(
         UsageError: the order is unknown, or the filter cannot be read or names what no run has.
     """
     if order not in ORDERS:
-        raise UsageError(f"runs have no order {order!r}", hint=alternatives(order, ORDERS, what="orders"))
+        raise UsageError(f"experiments cannot be sorted by {order!r}", hint=alternatives(order, ORDERS, what="orders"))
     kept = None if where is None else store.matching(where)
     query = select(*{RUNS.c[name] for name in ("run", "experiment", "state", order)})
     query = query.order_by(RUNS.c.created.desc(), RUNS.c.run.desc())
@@ -104,7 +104,7 @@ def curves(store: Store, runs: Sequence[str]) -> dict[str, list[CurvePoint]]:
 
 
 def steps_asked(store: Store, runs: Sequence[str]) -> dict[str, int]:
-    """The environment steps that the specs of some runs ask for."""
+    """The environment steps in the specs of some runs."""
     query = select(RUNS.c.run, SPECS.c.content).join(SPECS).where(RUNS.c.run.in_(runs))
     asked = {run: (spec.get("training") or {}).get("steps") for run, spec in store.fetch(query)}
     return {run: steps for run, steps in asked.items() if isinstance(steps, int) and steps > 0}
@@ -116,7 +116,7 @@ def _values(runs: Sequence[tuple[str, bool, Any]]) -> list[Any]:
 
 
 def _rank(values: Sequence[Any], order: str) -> Any:
-    """A key that sorts experiments by the values of their runs: the newest, or the best or smallest mean first."""
+    """A key that sorts experiments by the values of their runs: newest first, or best or smallest mean first."""
     if order == "name":
         return values[0]
     if order == "created":
@@ -135,16 +135,16 @@ def success_densities(
     *,
     reported: bool = False,
 ) -> tuple[Density, ...]:
-    """The density of the success ratios at each step; the database keeps what it does not have yet.
+    """The density of the success ratios at each step. New densities are stored in the database.
 
-    A stored density is used if it is of the same ratios. A database that cannot be written changes no number.
+    A stored density is used if its ratios are the same. If the database cannot be written, the numbers do not change.
 
     Args:
         store: None computes every density.
         experiment: hash.
         counting: any or end.
         ratios: environment steps of training -> success ratio of each run.
-        reported: whether these are the ratios that the runs report, not those of a test on the way.
+        reported: whether these are the reported ratios of the runs, not those of a test during training.
     """
     key = {"experiment": experiment, "counting": counting, "reported": reported}
     query = select(SUCCESSES).where(*(SUCCESSES.c[name] == value for name, value in key.items()))

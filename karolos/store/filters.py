@@ -6,10 +6,10 @@
     operator   = "=" | "==" | "!=" | "<" | "<=" | ">" | ">=" | "~"
     value      = number | true | false | null | word | "text in quotes"
 
-A comparison with a value that a run does not have is false, except `= null`. `!=` means `not =`. `~` means that a text
-contains another, in upper or lower case. A comparison of `tags` holds if it holds for any tag. Numbers are compared
-with numbers and texts with texts (times are ISO 8601, which sorts like time), never one with the other. Python parses
-the text; nothing of it is evaluated as code.
+A comparison with a missing value is false, except `= null`. `!=` means `not =`. `~` means that a text contains another,
+in upper or lower case. A comparison of `tags` is true if it is true for any tag. Numbers are compared only with
+numbers, and texts only with texts (times are ISO 8601, which sorts like time). Python parses the text, but never
+evaluates it as code.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from ..records.run_records import STATES
 
 EXAMPLE = "e.g. task=reach and agent.learning_rate<1e-3"
 LONGEST = 10_000
-"""Characters of a filter."""
+"""Largest number of characters of a filter."""
 DEEPEST = 50
-"""Levels of ands, ors and nots in each other; far fewer than Python's stack holds."""
+"""Largest number of nested ands, ors and nots; far below Python's stack limit."""
 _OPERATORS: dict[Any, str] = dict(
     zip(
         (ast.Eq, ast.NotEq, ast.Lt, ast.LtE, ast.Gt, ast.GtE, ast.Is, ast.In),
@@ -42,7 +42,7 @@ _OPERATORS: dict[Any, str] = dict(
 )
 _ORDER: dict[str, Callable[[Any, Any], bool]] = {"<": lt, "<=": le, ">": gt, ">=": ge}
 _PYTHON = {"=": "==", "~": "is", "and": "and", "or": "or", "not": "not", "in": "in"}
-"""What Python's parser sees of signs and words; of keys and values it sees a name."""
+"""Texts that Python's parser sees for signs and words. For keys and values it sees a name."""
 _WORDS: dict[str, bool | None] = {"true": True, "false": False, "null": None, "none": None}
 _TOKEN = re.compile(
     r"""\s*(?:(?P<text>"(?:[^"\\]|\\.)*"|'(?:[^'\\]|\\.)*')|(?P<sign>[(),\[\]]|!=|<=|>=|==|[=<>~])"""
@@ -66,7 +66,7 @@ class Filter:
         return frozenset(comparison.key for comparison in self.comparisons)
 
     def refuse_texts(self, numbers: Container[str]) -> None:
-        """Raise a UsageError where a key in `numbers`, which is a number in each run, is compared with a text."""
+        """Raise a UsageError if a key in `numbers`, whose value is a number in each run, is compared with a text."""
         for comparison in self.comparisons:
             if comparison.key in numbers and comparison.operator != "~":
                 for literal in comparison.literals:
@@ -93,13 +93,13 @@ class Token:
     """A key, a value, a word or a sign of a filter."""
 
     text: str
-    """As it was written, without quotes."""
+    """Text as written, without quotes."""
     value: float | int | bool | str | None
-    """The number, boolean or null that it may mean."""
+    """Its possible meaning as a number, boolean or null."""
     column: int
-    """Its position, from 1."""
+    """Column, from 1."""
     python: str
-    """What Python's parser sees of it."""
+    """Text that Python's parser sees for it."""
 
     def equals(self, actual: Any) -> bool:
         if isinstance(actual, str):
@@ -156,12 +156,12 @@ def parse(text: str) -> Filter:
 
 
 class _Parser:
-    """Builds conditions from the tree that Python's parser makes; nodes that no filter needs are refused."""
+    """Builds conditions from the tree of Python's parser. Nodes that no filter needs are refused."""
 
     def __init__(self, tokens: list[Token]) -> None:
         self._tokens = tokens
         self._starts = list(accumulate((len(token.python) + 1 for token in tokens[:-1]), initial=0))
-        """Where each token stands in the text that Python sees."""
+        """Place of each token in the text that Python sees."""
         self._comparisons: list[FilterComparison] = []
 
     def read(self) -> Filter:
@@ -191,7 +191,7 @@ class _Parser:
             case ast.Compare(ast.Name() as key, [op], [right]) if type(op) in _OPERATORS:
                 return self._comparison(key, _OPERATORS[type(op)], right)
             case _:
-                raise self._error(node.col_offset, "does not begin a comparison")
+                raise self._error(node.col_offset, "is not the beginning of a comparison")
 
     def _comparison(self, key: ast.Name, operator: str, right: ast.expr) -> Condition:
         values = right.elts if operator == "in" and isinstance(right, ast.Tuple | ast.List) else [right]
@@ -203,7 +203,7 @@ class _Parser:
         return self._comparisons[-1].matches
 
     def _error(self, offset: int, what: str, hint: str = EXAMPLE) -> UsageError:
-        """The error at the token that stands at this place in the text that Python sees."""
+        """The error at the token at this place in the text that Python sees."""
         token = self._tokens[bisect_right(self._starts, offset) - 1]
         if token is self._tokens[-1]:
             return _error(f"something is missing after {self._tokens[-2].text!r}", token.column, hint)
@@ -220,7 +220,7 @@ def _tokens(text: str) -> Iterator[Token]:
         found = _TOKEN.match(text, position)
         if found is None or found.lastgroup is None:
             column = position + len(text[position:]) - len(text[position:].lstrip())
-            raise _error(f"{text[column]!r} cannot be read", column + 1, 'texts stand in "quotes" that are closed')
+            raise _error(f"{text[column]!r} cannot be read", column + 1, 'write texts in "quotes" and close them')
         kind, word, column = found.lastgroup, found[found.lastgroup], found.start(found.lastgroup) + 1
         if kind == "text":
             plain = re.sub(r"\\(.)", r"\1", word[1:-1], flags=re.DOTALL)

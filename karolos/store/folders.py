@@ -20,7 +20,7 @@ from .database import RefusedValueError
 from .store import Store
 
 _RUNS_TOGETHER = 100
-"""Runs of a transaction or a query."""
+"""Number of runs per transaction or query."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class _FoundFolder:
 
 
 def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | None, Reindexed | None]:
-    """The index of a runs folder, or None if there are no runs. A missing one is rebuilt, and what was entered is told.
+    """The index of a runs folder, or None if there are no runs. A missing one is rebuilt, with a report of that.
 
     Args:
         runs: the runs folder.
@@ -93,12 +93,12 @@ def reindex(store: Store, runs: str | Path) -> Reindexed:
         known.update(found.run for found in group if found.run is not None)
         records = [found.record for found in group if found.record is not None]
         refused += _enter(store, records)
-        # Enter runs again that wrote into their folders, and the database, after these records of them were read.
+        # Enter runs again if they wrote into their folders and the database after these records were read.
         while records := [one for one in records if one.summary.state in ("created", "running")]:
             renewed = [_read(Path(one.summary.folder), locked=True).record or one for one in records]
             pairs = zip(renewed, records, strict=True)
             records = [new for new, old in pairs if (new.summary.state, new.tests) != (old.summary.state, old.tests)]
-            _enter(store, records)  # what it refuses now it has refused before
+            _enter(store, records)  # it has refused the same values before
     gone = _gone(store, root, known)
     store.remove_runs(gone)
     return Reindexed(len(known) - len(refused), len(gone), (*problems, *refused, *sweeps(root)[1]))
@@ -129,7 +129,7 @@ def check(store: Store, runs: str | Path) -> Iterator[Difference]:
 
 
 def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
-    """The run folders in a runs folder, by name and in groups; of two of one run, the second is named as a problem.
+    """The run folders in a runs folder, by name and in groups. A second folder of the same run is a problem.
 
     Args:
         root: the runs folder.
@@ -158,7 +158,7 @@ def _read(path: Path, locked: bool) -> _FoundFolder:
 
 
 def _gone(store: Store, root: Path, known: set[str]) -> list[str]:
-    """The runs of the index that were in the runs folder and are no longer there."""
+    """The runs of the index whose folders have disappeared from the runs folder."""
     lost = ((run.run, Path(run.folder)) for run in store.runs() if run.run not in known)
     return [run for run, folder in lost if folder.parent == root and not folder.exists()]
 
@@ -175,13 +175,13 @@ def _enter(store: Store, records: Sequence[RunRecord]) -> list[str]:
 
 
 def _facts(record: RunRecord) -> dict[str, Any]:
-    """What folder and index have of a run."""
+    """The comparable values of a run in folder and index."""
     lists = {"settings of its spec": without_seeds(record.spec), "versions of its software": record.versions}
     return record.summary.row() | {"commit": record.commit, "tests": record.tests} | lists
 
 
 def _differences(identity: str, recorded: Mapping[str, Any], entered: Mapping[str, Any] | None) -> Iterator[Difference]:
-    """How a run in its folder differs from that in the database."""
+    """Differences of a run between its folder and the database."""
     if entered is None:
         yield Difference(identity, "it has a folder, and is not in the database")
         return

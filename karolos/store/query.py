@@ -1,4 +1,4 @@
-"""The run that a selector means, own or shipped; and `karolos.runs`: recorded runs as rows and data frames."""
+"""Finds the run that a selector means, own or shipped. Also `karolos.runs`: recorded runs as rows and data frames."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from .store import Store
 from .tables import RUNS, SUMMARY_FIELDS, means
 
 SHORTEST_HASH = 6
-"""Fewest digits that are taken for the beginning of a hash."""
+"""Smallest number of digits that can be the beginning of a hash."""
 _LISTED = 5
 _LAST = re.compile(r"@last(?:-(\d{1,9}))?")
 _HASH = re.compile(rf"[0-9a-f]{{{SHORTEST_HASH},}}")
 
 
 class Records(tuple[RunSummary, ...]):
-    """The runs that were found, the newest first: a tuple of RunSummary, and tidy rows."""
+    """The found runs, newest first: a tuple of RunSummary, with tidy rows."""
 
     records: tuple[RunRecord, ...]
     """Each run with its spec and its tests."""
@@ -88,7 +88,7 @@ def runs(
 
 @contextmanager
 def index(runs: str | Path, database: str | None) -> Iterator[Store | None]:
-    """The index that `open_index` opens, closed at the end. A Python warning names each file that it leaves out."""
+    """The index of `open_index`, closed at the end. A Python warning names each ignored file."""
     store, rebuilt = open_index(runs, database)
     with store or nullcontext():
         for problem in rebuilt.problems if rebuilt else ():
@@ -138,8 +138,8 @@ def _table(rows: list[dict[str, Any]]) -> Any:
 def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSummary:
     """The one run that a selector means: a path, what `find` takes, or the name of a shipped run.
 
-    A run of one's own with the name of a run that ships comes first, except with `shipped:NAME`. `runs` is named where
-    there is no index.
+    An own run comes before a shipped run of the same name, except with `shipped:NAME`. Errors name `runs` if there is
+    no index.
 
     Raises:
         UsageError: it means no run, or several.
@@ -164,7 +164,7 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
 
 
 def find_folder(selector: str, store: Store | None, runs: str | Path) -> RunFolder:
-    """The folder of the run that `find_meant` finds. Raises RunError as well if the folder is missing."""
+    """The folder of the run that `find_meant` finds. Also raises RunError if the folder is missing."""
     return RunFolder.open(find_meant(selector, store, runs).folder)
 
 
@@ -177,7 +177,7 @@ def existing(store: Store | None, selector: str, runs: str | Path) -> Store:
 
 
 def shipped_run(selector: str, store: Store | None) -> RunFolder | None:
-    """The run that ships of this name, unless there are runs of one's own with it; always with `shipped:` before it."""
+    """The shipped run of this name, unless own runs have it, too; with the prefix `shipped:` always."""
     name = selector.removeprefix(SHIPPED)
     if name not in shipped_names() or (name == selector and store and store.runs(name=name, limit=1)):
         return None
@@ -188,7 +188,7 @@ def select(store: Store, selector: str, *, or_trial: bool = False) -> tuple[RunS
     """The runs that a selector means, the newest first. The first rule that finds runs counts:
 
     1. @last, the newest run; @last-2, the second before it
-    2. a run's id; or the path of its folder, which means no other run
+    2. a run's id, or the path of its folder
     3. the name of an experiment: all its runs
     4. the beginning of an experiment's hash (6 digits or more): all its runs
     5. the beginning of a run's id
@@ -198,7 +198,7 @@ def select(store: Store, selector: str, *, or_trial: bool = False) -> tuple[RunS
     Args:
         store: the index.
         selector: the text.
-        or_trial: the name of a sweep's best spec, if no run has it, means the trial that the final phase chose.
+        or_trial: if no run has the name of a sweep's best spec, this name means the trial that the final phase chose.
 
     Raises:
         NoSuchRunError: it means no run, or a run folder that the index does not have.
@@ -248,7 +248,7 @@ def experiment_names(store: Store) -> list[str]:
 
 
 def _of_best(store: Store, selector: str, or_trial: bool) -> tuple[RunSummary, ...]:
-    """The runs of the trial that a sweep chose, by its best spec's name; none if it is no such name.
+    """The runs of the trial that a sweep chose, by its best spec's name; none for other names.
 
     Raises as `select`.
     """
@@ -294,7 +294,7 @@ def find(store: Store, selector: str) -> RunSummary:
 
 
 def only(selector: str, found: Sequence[RunSummary]) -> RunSummary:
-    """The one run that was found. Raises UsageError if there are several."""
+    """The one found run. Raises UsageError if there are several."""
     if len(found) == 1:
         return found[0]
     listed = ", ".join(run.run for run in found[:_LISTED]) + (" ..." if len(found) > _LISTED else "")

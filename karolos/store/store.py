@@ -38,7 +38,7 @@ from .tables import (
 
 FILE_NAME = "karolos.sqlite"
 NUMBERS = {int, float, NoneType}
-"""Types of the values of what is a number, or missing."""
+"""Types of fields that are numbers or missing."""
 MOST_NAMED = 500
 """A query names at most this many runs; for more, all rows are read."""
 
@@ -61,7 +61,7 @@ class Store(Database):
         self.close()
 
     def add_records(self, records: Sequence[RunRecord]) -> None:
-        """Enter runs with all their tests in one transaction. Of runs that are stored, only what changed is written."""
+        """Enter runs with all their tests in one transaction. For stored runs only changes are written."""
         contents: dict[Table, dict[str, Mapping[str, Any]]] = {SPECS: {}, SOFTWARE: {}}
         rows = []
         with self.writing() as connection:
@@ -104,7 +104,7 @@ class Store(Database):
                 )
 
     def remove_runs(self, runs: Sequence[str]) -> None:
-        """Remove runs from the index, with their tests and everything that only they refer to; folders stay."""
+        """Remove runs from the index, with their tests and everything that only they use. Folders stay."""
         experiment = select(RUNS.c.experiment).where(RUNS.c.run == bindparam("one")).scalar_subquery()
         with self.writing() as connection:
             _for_each(connection, delete(SUCCESSES).where(SUCCESSES.c.experiment == experiment), runs)
@@ -138,7 +138,7 @@ class Store(Database):
             state: only runs in this state, `lost` included.
             where: a filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their
                 key paths (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force).
-            trials: only runs of sweeps' trials, or only other runs.
+            trials: True: only runs of sweeps' trials; False: only other runs.
             limit: at most this many runs.
 
         Raises:
@@ -176,7 +176,7 @@ class Store(Database):
             return tuple(matching)
 
     def matching(self, where: str) -> set[str]:
-        """The ids of the runs that match a filter, of which only what the filter names is read. Raises as `runs`."""
+        """The ids of the runs that match a filter. Only values that the filter names are read. Raises as `runs`."""
         condition = filters.parse(where)
         with self.reading() as connection:
             return _matching(connection, condition, self.home)
@@ -198,7 +198,7 @@ class Store(Database):
         found = []
         for run in known:
             state, commit, spec, software = contents[run.run]
-            if state in UNFINISHED:  # it may have gone on without the process that indexed it
+            if state in UNFINISHED:  # it may have continued without the process that indexed it
                 with suppress(RunError):  # without its folder the index is all there is
                     tests[run.run] = list(RunFolder.open(run.folder).record().tests)
             found.append(RunRecord(run, spec, tuple(tests[run.run]), software, commit))
@@ -206,7 +206,7 @@ class Store(Database):
 
 
 def _put_tests(connection: Connection, records: Sequence[RunRecord]) -> set[str]:
-    """Make the stored tests of runs those of their records; returns the runs whose tests changed."""
+    """Replace the stored tests of runs by those of their records; returns the runs whose tests changed."""
     stored: dict[str, dict[int, Evaluation]] = defaultdict(dict)
     for run, steps, *numbers in connection.execute(select(TESTS).where(_named(TESTS, records))):
         stored[run][steps] = Evaluation(steps, *numbers)
@@ -259,7 +259,7 @@ def _matching(connection: Connection, condition: Filter, home: Path | None) -> s
 
 
 def _shared_values(connection: Connection, condition: Filter) -> dict[str, dict[str, Any]]:
-    """Digest of a spec or of software -> its values by those keys of the filter that are no fields of runs.
+    """Digest of a spec or of software -> its values, for the keys of the filter that are not fields of runs.
 
     Raises UsageError if the filter names what no run has.
     """
@@ -291,7 +291,7 @@ def _summary(row: Any, home: Path | None) -> RunSummary:
 
 
 def _current(indexed: RunSummary) -> RunSummary:
-    """The current state of a run that is unfinished in the index, and how far it is."""
+    """The current state and progress of a run that is unfinished in the index."""
     if not os.path.isdir(indexed.folder):
         return indexed
     try:

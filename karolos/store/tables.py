@@ -31,7 +31,7 @@ A database of another version is refused. The run folders are the truth: `karolo
 enters what the folders hold.
 """
 OLDER_TABLES = ("experiments", "parameters", "versions", "tags", "trials", "sweeps")
-"""Tables of version 0.1 (schema 7) and 0.2 (schema 10) that this schema lacks."""
+"""Tables of version 0.1 (schema 7) and 0.2 (schemas 9 and 10) that this schema lacks."""
 TABLES = MetaData()
 SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 _TYPES: dict[Any, TypeEngine[Any]] = {
@@ -66,13 +66,13 @@ SCHEMA_VERSION = Table("karolos_schema", TABLES, _part_of_key("version", Integer
 """One row: the version of the tables. Only a karolos database has this table."""
 
 SPECS = Table("specs", TABLES, _part_of_key("digest", Text()), _column("content", JSON()))
-"""A resolved spec without its seeds, stored once for all runs that have exactly this one.
+"""A resolved spec without its seeds, stored once for all runs with the same spec.
 
-Specs of one experiment may differ in what results do not depend on: name, device, threads.
+Specs of one experiment may differ in settings that do not change results: name, device, threads.
 """
 
 SOFTWARE = Table("software", TABLES, _part_of_key("digest", Text()), _column("content", JSON()))
-"""The versions of the packages that runs were made with; empty if they are unknown."""
+"""The versions of the packages of runs; empty if they are unknown."""
 
 RUNS = Table(
     "runs",
@@ -111,13 +111,13 @@ SUCCESSES = Table(
 )
 """The kernel density of the success ratios of an experiment's compared runs: `Density` without its grid.
 
-One row per step at which the runs were tested, and one `reported` row of the ratios that the runs report. A row lasts
-until a test or a run of the experiment is added or removed.
+One row per step of the runs' tests, and one `reported` row for the reported ratios. A row lasts until a test or a run
+of the experiment is added or removed.
 """
 
 
 def as_stored(folder: str, home: Path | None) -> str:
-    """A folder as the index stores it: relative to the database's folder below it, so that both can move together."""
+    """A folder as the index stores it: relative if below the database's folder, so that both can move together."""
     path = Path(folder)
     return (path.relative_to(home) if home and path.is_relative_to(home) else path).as_posix()
 

@@ -1,4 +1,4 @@
-"""Cubes that tasks move: settings, bodies, observation, places on the floor, and how experts grip and carry them."""
+"""Cubes that tasks move: settings, bodies, observation, places on the floor, and the expert that grips and carries."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from .settings import ForcePenalty, seen
 
 CUBE_COLOUR = (0.93, 0.45, 0.13, 1.0)
 LOST_DISTANCE = 10.0
-"""m from the origin; the physics has diverged when an object is further away or below the floor."""
+"""Largest distance in m from the origin. If an object is further away, or below the floor, the physics diverged."""
 GROUND_EDGE = 0.3
-"""Edge in m of the square in the middle of the workspace in which cube and goal lie, as in panda-gym."""
+"""Edge in m of the square for cube and goal in the middle of the workspace, as in panda-gym."""
 REST_SPEED = 0.01
-"""m/s below which an object is at rest."""
+"""Speed in m/s below which an object is at rest."""
 BRAKING_SHARE = 0.5
-"""Fraction of the remaining distance covered in one control step: an arm at full speed needs two steps to brake."""
+"""Largest share of the remaining distance in one control step: an arm at full speed needs two steps to brake."""
 
 
 def fields(name: str) -> tuple[Field, ...]:
@@ -48,16 +48,16 @@ class CubeSettings(BaseSettings):
 
     object_size: float = Setting(0.04, ge=0.01, le=0.2, description="edge of the cube, m")
     object_mass: Annotated[float, Drawn("kg", 0.01, 2.0)] = Setting(
-        0.1, gt=0, le=5, description="of the cube, kg; its inertia is proportional"
+        0.1, gt=0, le=5, description="mass of the cube, kg; its inertia is proportional to the mass"
     )
     object_friction: Annotated[float, Drawn("1", 0.0, 5.0)] = Setting(
         1.0, ge=0, le=5, description="lateral friction coefficient of the cube"
     )
     object_stiffness: float | None = Setting(
-        None, ge=1e3, le=1e8, description="of each contact of the cube, N/m; null: 4e5 (MuJoCo), or as PyBullet can"
+        None, ge=1e3, le=1e8, description="stiffness of the cube's contacts, N/m; null: 4e5 (MuJoCo), or PyBullet's own"
     )
     force_penalty: ForcePenalty | None = Setting(
-        None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
+        None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
     )
 
 
@@ -88,13 +88,13 @@ class Cube:
         self.body.set_inertia(mass, self.moments(mass))
 
     def place(self, position: Sequence[float], orientation: Quaternion = UPRIGHT) -> None:
-        """Put the cube there at rest, and read its state."""
+        """Place the cube there at rest, and read its state."""
         x, y, z = position
         self.body.place((x, y, z), orientation)
         self.read()
 
     def put_in_gripper(self, robot: RobotView, gripper: Gripper | Cup, position: Vector) -> None:
-        """As `place_with_tool`, the tool around the cube with the pads at its sides, closing; or a cup on it."""
+        """As `place_with_tool`, with the tool around the cube and closing pads at its sides, or with a cup on it."""
         x, y, z = position
         opening = 2 * self.half / gripper.width if isinstance(gripper, Gripper) else 0.0
         self.place_with_tool(robot, position, (x, y, z + self.rise(gripper)), opening, closing=True)
@@ -106,9 +106,9 @@ class Cube:
     def place_with_tool(
         self, robot: RobotView, position: Sequence[float], tool: Vector, opening: float, *, closing: bool = False
     ) -> None:
-        """During a reset: put the cube there at rest, and the tool near it, with the gripper opened so far (0 to 1).
+        """During a reset: place the cube there at rest and the tool near it, with this opening of the gripper (0 to 1).
 
-        Raises PluginError where the tool cannot be there.
+        Raises PluginError if the tool cannot be there.
         """
         robot.place_tool(tool, opening, closing=closing)
         self.place(position, aligned(robot))
@@ -128,7 +128,7 @@ class Cube:
     def observe(self, robot: RobotView) -> list[float]:
         """The numbers of `fields`, with the robot's observation noise.
 
-        The offset from the tool is that of the observed positions, so it adds no information.
+        The offset from the tool is computed from the observed positions, so it adds no information.
         """
         place, turned = seen(robot, self.position), columns(self.orientation)
         values = robot.with_noise([*place, *turned, *self.velocity, *self.angular_velocity])
@@ -142,7 +142,7 @@ class Cube:
 
     @property
     def lost(self) -> bool:
-        """Whether it is below the floor, further than 10 m away, or at NaN."""
+        """Whether it is below the floor, more than 10 m away, or NaN."""
         x, y, z = self.position
         return not (z > -self.half and x * x + y * y + z * z < LOST_DISTANCE * LOST_DISTANCE)
 
@@ -150,7 +150,7 @@ class Cube:
 def aligned(robot: RobotView) -> Quaternion:
     """The upright rotation, at most 45 degrees, in which a cube's sides face the pads of the gripper at home.
 
-    Not every robot can turn its gripper, and a cube gripped by its edges stays oblique and is held weakly.
+    Not every robot can turn its gripper. A cube gripped by its edges stays oblique, and the grip is weak.
     """
     quarter = pi / 2
     angle = robot.home_yaw - quarter * round(robot.home_yaw / quarter)
@@ -158,11 +158,11 @@ def aligned(robot: RobotView) -> Quaternion:
 
 
 class CubeTask(Task):
-    """The part that tasks with cubes share; a task sets `_robot` in `fit`. `cube` is the first of `cubes`."""
+    """The common part of tasks with cubes. A task sets `_robot` in `fit`. `cube` is the first of `cubes`."""
 
     observation = Layout(FIELDS)
     colours: ClassVar[Sequence[Colour]] = (CUBE_COLOUR,)
-    """Colours of the cubes that the world can have; there are `number` of them."""
+    """Possible colours of the cubes; `number` of them are used."""
     number = 1
     object_class: ClassVar[type[Cube]] = Cube
     settings: CubeSettings
@@ -211,7 +211,7 @@ class CubeTask(Task):
 
 
 def check_pads(robot: RobotView, task: str, why: str) -> Gripper:
-    """The robot's gripper, which has pads. `why`: what the task does with it.
+    """The robot's gripper with pads. `why`: its use in the task.
 
     Raises:
         PluginError: the robot has no gripper.
@@ -227,7 +227,7 @@ def check_pads(robot: RobotView, task: str, why: str) -> Gripper:
 
 
 def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
-    """The robot's gripper, wide enough for an object of `size` m, or narrow enough.
+    """The robot's gripper, checked for an object of `size` m.
 
     Raises:
         PluginError: the robot has no gripper.
@@ -241,7 +241,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
     gripper = check_pads(robot, task, "grasps")
     if size > 0.9 * gripper.width:
         raise UsageError(
-            f"a cube of {size:g} m does not go into the gripper",
+            f"a cube of {size:g} m does not fit into the gripper",
             setting="task.object_size",
             hint=f"it opens {gripper.width:g} m; a tenth of that is needed as clearance",
         )
@@ -249,7 +249,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
 
 
 def ground(workspace: Box, goals: str, height: float, *, margin: float = 0.0) -> Box:
-    """The part of the floor where a cube, its centre at `height` m, and its goal may lie.
+    """The part of the floor for a cube, with its centre at `height` m, and its goal.
 
     Args:
         goals: `box`, a square of `GROUND_EDGE` in the middle of the workspace, or `workspace`, all of it.
@@ -280,46 +280,46 @@ def drift(robot: RobotView) -> float:
 
 
 def braking(robot: RobotView, target: Vector) -> Vector:
-    """A point in m on the way to `target`, near enough that the tool slows down before it arrives."""
+    """A point in m on the way to `target`, so near that the tool slows down before it arrives."""
     x, y, z = (now + BRAKING_SHARE * (goal - now) for now, goal in zip(robot.tool_position, target, strict=True))
     return x, y, z
 
 
 HOVER_HEIGHT = 0.08
-"""m above the cube at which the gripper arrives."""
+"""Height in m above the cube at which the gripper arrives."""
 ALIGNED_DISTANCE = 0.018
-"""m off the cube's axis at which the gripper may go down; open, it has 1.5 cm to each side of a 4 cm cube."""
+"""Distance in m from the cube's axis at which the gripper may go down. Open, it has 1.5 cm to each side of the cube."""
 STILL_DRIFT = 0.015
 """Largest horizontal drift of the tool, in m per control step, when it goes down or closes."""
 GRIP_HEIGHT = 0.006
-"""m above the centre of the cube at which it is gripped, so that the pads do not rub on the floor: there the fingers
-stick, and an arm that drags them along lags behind."""
+"""Height in m above the centre of the cube at which it is gripped, so that the pads do not rub on the floor. There the
+fingers would stick and the arm would lag behind."""
 CARRYING_CLEARANCE = 0.03
-"""m above the floor at which the cube moves to a goal on the floor: a dragged cube twists out of the pads."""
+"""Height in m at which the cube moves to a goal on the floor: a dragged cube would twist out of the pads."""
 SET_DOWN_GAP = 0.003
-"""m above the floor at which the cube is held over a goal on the floor: an arm that aims at the floor presses on it."""
+"""Height in m at which the cube is held over a goal on the floor: an arm that aims at the floor presses on it."""
 OVER = 0.01
 """Distance in m from a goal on another cube, and sideways motion of the tool in m per step, at which it goes down."""
 SLOW_SHARE = 0.5
-"""Share of the largest speed with which it goes down near a standing cube: arms swing aside when they stop."""
+"""Share of the largest speed for going down near a standing cube: arms swing aside when they stop."""
 CUP_GAP = 0.001
-"""m above the cube at which a cup begins to suck, and pulls the cube up: an arm that aims at the cube presses on it."""
+"""Height in m above the cube at which a cup begins to suck: an arm that aims at the cube would press on it."""
 NEAR, NEAR_CUP = 0.006, 0.0007
-"""m above the height of the grip at which the gripper closes, or a cup sucks."""
+"""Height in m above the grip at which the gripper closes, or a cup sucks."""
 CLOSING_STEPS = 3
-"""Control steps for which both pads must touch before the cube is lifted: until then they push it to the middle."""
+"""Control steps in which both pads must touch the cube before it is lifted: before that they centre it."""
 GRASP_PATIENCE = 30
 """Control steps after which a gripper that has closed on nothing opens again."""
 
 
 class CarryTask(CubeTask):
-    """The part that tasks share in which cubes are gripped; a task sets `gripper` in `fit`."""
+    """The common part of tasks that grip cubes. A task sets `gripper` in `fit`."""
 
     uses_gripper = True
     gripper: Gripper | Cup
 
     def _begin(self, cube: Cube, place: Vector, stage: str | None, generator: Generator) -> None:
-        """Put a cube there in m: in the gripper (`grasped`), the open gripper around or above it (`near`), or alone."""
+        """Place a cube there (m): in the gripper (`grasped`), the open gripper around or above it (`near`), or free."""
         if stage == "grasped":
             cube.put_in_gripper(self._robot, self.gripper, place)
         elif stage == "near":
@@ -331,7 +331,7 @@ class CarryTask(CubeTask):
 
 
 class Carrier:
-    """Goes over a cube, down, closes, lifts, moves it to its goal and holds it there. Restarts when it loses it."""
+    """Goes over a cube, goes down, closes, lifts, moves it to its goal and holds it. Restarts if it loses the cube."""
 
     def __init__(self, robot: RobotView, gripper: Gripper | Cup) -> None:
         self._robot = robot
@@ -342,19 +342,19 @@ class Carrier:
         """Control steps for which the cube has been between the pads."""
 
     def begin(self, cube: Cube) -> None:
-        """Take up a cube, which may be in the hand already."""
+        """Start to work with a cube, which may already be in the hand."""
         self._cube, self._size = cube, 2 * cube.half
         self._rise = cube.rise(self._gripper)
         self._grip_height, self._near = (self._rise + CUP_GAP, NEAR_CUP) if self._rise else (GRIP_HEIGHT, NEAR)
         self.open = 1.0
-        """Opening of the gripper that is wide enough for the cube on its diagonal."""
+        """Opening of the gripper for the diagonal of the cube."""
         if isinstance(self._gripper, Gripper):
             self.open = min(1.0, (1.5 * self._size + 0.01) / self._gripper.width)
         self._held = CLOSING_STEPS if self._enclosed() else 0
         self._closing = self._held
 
     def _enclosed(self) -> bool:
-        """Whether the cube is between the pads (on its diagonal 1.42 times as wide as along its edges), or held."""
+        """Whether the cube is held, or between the pads (its diagonal is 1.42 times its edge)."""
         robot, size = self._robot, self._size
         if isinstance(self._gripper, Cup):
             return robot.pads_touching(self._cube.body) > 0
@@ -366,7 +366,7 @@ class Carrier:
         return self._enclosed() and (self._held >= CLOSING_STEPS or self._robot.pads_touching(self._cube.body) == 2)
 
     def act(self, goal: Vector, floor: float = 0.0) -> FloatArray:
-        """The next action. `floor`: height in m of things on the floor; the hand stays above it on its way."""
+        """The next action. `floor`: height in m of objects on the floor; the hand stays above it on its way."""
         robot, (x, y, z), (tx, ty, tz) = self._robot, self._cube.position, self._robot.tool_position
         grip: Vector = (x, y, max(z + self._grip_height, robot.workspace.low[2]))
         if self._closing:
@@ -404,6 +404,6 @@ class Carrier:
             x, y, _ = braking(robot, (x, y, z))
             z = max(z, tool[2] - SLOW_SHARE * robot.tool_step)
         z = max(z, robot.workspace.low[2], tool[2] + SET_DOWN_GAP - lowest)
-        if self._rise and z < tool[2]:  # the cube is pressed between the arm and what it comes down on
+        if self._rise and z < tool[2]:  # the cube is pressed between the arm and the place below it
             _, _, z = braking(robot, (x, y, z))
         return x, y, z

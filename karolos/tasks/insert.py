@@ -29,9 +29,9 @@ TOP = DEPTH + FLOOR
 WALL = 0.02
 """Thickness of the walls around the hole in m."""
 SIDES = 32
-"""Boxes around a round hole. Between them it is wider by R (1 / cos(pi / 32) - 1): .04 mm for a radius of 8 mm."""
+"""Number of boxes around a round hole. Between them it is wider by R (1 / cos(pi / 32) - 1): .04 mm for R = 8 mm."""
 GRIP = 0.02
-"""m of the tool above the middle of the peg."""
+"""Height in m of the tool above the middle of the peg."""
 HOLE_RANGE, HOLE_TURN = 0.05, pi / 4
 """Largest offset of the hole along each axis in m, and largest turn in rad."""
 HAND_OFFSET, HAND_TILT = 0.003, 0.05
@@ -39,12 +39,12 @@ HAND_OFFSET, HAND_TILT = 0.003, 0.05
 START_HEIGHT, START_ASIDE = (0.02, 0.05), 0.02
 """Height of the tip over the hole at the start, and its largest distance from the axis along x and y, in m."""
 SLACK, TURN_SLACK = 0.001, 0.03
-"""Distance of the tip from the axis in m, and turn in rad, that count as in the hole. The play and the
-error of the hole are added. At depth they decide nothing; they make goals of hindsight as narrow as the hole."""
+"""Distance of the tip from the axis in m, and turn in rad, that count as in the hole. The play and the error of the
+hole are added. At depth they have no effect; they make goals of hindsight as narrow as the hole."""
 ALIKE = 0.0005
-"""m of play up to which goals are the same, so that training may draw it: in a tight hole alone little is learned."""
+"""Play in m up to which goals are the same, so that training may sample it: a tight hole alone teaches little."""
 SCALES = (0.004, 0.001)
-"""Errors are also observed as tanh(error / scale), in m: networks see no tenths of a millimetre otherwise."""
+"""Scales in m of additional observations tanh(error / scale): without them networks do not see .1 mm."""
 TURN_SCALE = 0.05
 """The same in rad."""
 TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
@@ -52,7 +52,7 @@ TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
 
 
 class Insertion(GoalRule):
-    """Success where the tip is deep enough and turned as the hole is, and no force was too large.
+    """Success if the tip is deep enough and turned like the hole, and no force was too large.
 
     `achieved` (..., 7): the tip from the mouth of the hole (3, m), the peg's turn to the nearest position that fits (3,
     rotation vector, rad), and 1 once a force exceeded the limit. `desired` (..., 6) the same without the last. Reward 0
@@ -97,14 +97,14 @@ class Insert(Task):
     Observation, along the world's axes: tip_from_hole (3, m, from the middle of the mouth of the hole as it is known),
     peg_turn (3, rad, the rotation vector to the nearest position that fits), tip_velocity (3, m/s),
     peg_angular_velocity (3, rad/s), near_errors (11, tanh of the errors at fine scales), peg_wrench (6, N and N m: the
-    wrist's), overloaded (1, whether a force was too large); where the hole is not known exactly also touch (4, tanh of
+    wrist's), overloaded (1, whether a force was too large); if the hole is not known exactly also touch (4, tanh of
     the force on the tip from below, of the place of its middle from the tip along x and y, and of the torque about the
-    vertical, at fine scales). For critics alone: hole_error (3, m and rad: error of the known hole), peg_forces (2, N:
+    vertical, at fine scales). Only for critics: hole_error (3, m and rad: error of the known hole), peg_forces (2, N:
     largest on the peg and on the arm).
     Action: the robot's, without the gripper: it stays closed around the peg.
     Goals: achieved, the tip from the hole as it is known (3, m), the peg's turn (3, rad) and whether a force was too
     large (1); desired, the bottom of the hole and no turn (6).
-    Reward: sparse -1 until the peg is in, then 0; less where a force exceeds that of `force_penalty`.
+    Reward: sparse -1 until the peg is in, then 0; less if a force exceeds that of `force_penalty`.
     What counts as success: the tip within 1 mm of the depth, in the hole, and never a force above `force_limit`.
     Termination: never; the episode is truncated after `max_steps`.
     """
@@ -112,30 +112,30 @@ class Insert(Task):
     class Settings(Settings):
         shape: Literal["square", "round", "connector"] = Setting(
             "square",
-            description="of peg and hole: square 20 x 20 mm, round with a diameter of 16 mm, or connector, a plug of "
-            "24 x 16 mm with a ridge, which fits one way round",
+            description="of peg and hole; square: 20 x 20 mm; round: diameter 16 mm; connector: a plug of 24 x 16 mm "
+            "with a ridge, which fits one way round",
         )
-        play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole less that of the peg, m")
-        chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the chamfer of the hole, m")
+        play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole minus width of the peg, m")
+        chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the hole's chamfer, m")
         hole_error: Annotated[float, Drawn("m", 0.0, 0.0)] = Setting(
             0.0,
             ge=0,
             le=0.005,
-            description="largest error along x and y of the hole as it is known, m; randomization samples up to it",
+            description="largest error of the known hole position along x and y, m; randomization samples up to it",
         )
         hole_turn_error: Annotated[float, Drawn("rad", 0.0, 0.0)] = Setting(
-            0.0, ge=0, le=0.1, description="largest error of its turn, rad; randomization samples up to it"
+            0.0, ge=0, le=0.1, description="largest error of its known turn, rad; randomization samples up to it"
         )
-        peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="of the peg, kg")
+        peg_mass: Annotated[float, Drawn("kg", 0.02, 1.0)] = Setting(0.1, gt=0, le=1, description="mass of the peg, kg")
         friction: Annotated[float, Drawn("1", 0.0, 2.0)] = Setting(
             0.3, ge=0, le=2, description="lateral friction coefficient between peg and block"
         )
         force_limit: Annotated[float, Drawn("N", 1.0, 10_000.0)] = Setting(
-            50.0, gt=0, description="force on peg or arm beyond which an episode fails, N"
+            50.0, gt=0, description="largest force on peg or arm, N; more fails the episode"
         )
         force_penalty: ForcePenalty | None = Setting(
             ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
-            description="what pressing costs: of the largest force on peg or arm, the grip left out; null: nothing",
+            description="cost of pressing: of the largest force on peg or arm, without the grip; null: none",
         )
         start_inserted: Probability = start("the peg partly in the hole")
         start_near: Probability = start("the peg a part of the way from the hole")
@@ -184,8 +184,9 @@ class Insert(Task):
     def fit(self, robot: RobotView) -> None:
         self._robot = robot
         self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
+        self.held_mass = self.settings.peg_mass
         if self._opening > 0.9:
-            raise PluginError(f"a peg of {self.width:g} m does not go into the gripper", where=type(robot).__name__)
+            raise PluginError(f"a peg of {self.width:g} m does not fit into the gripper", where=type(robot).__name__)
         if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):
             what = "these actions do not turn the tool, and the hole is turned"
             raise UsageError(what, setting="robot.control", hint="set robot.control: impedance, or task.shape: round")
@@ -250,7 +251,7 @@ class Insert(Task):
         return upright if abs(y) > abs(x) else multiply(_about_z(pi / 2), upright)
 
     def _hold(self, tip: Vector, turn: float, along: float, up: float, tilt: float) -> None:
-        """Put the tool and the peg in its hand so that the tip is there, at rest.
+        """Place the tool with the peg so that the tip is there, at rest.
 
         Args:
             tip: in m.
@@ -287,12 +288,12 @@ class Insert(Task):
 
     @property
     def tip_from_hole(self) -> Vector:
-        """The tip from the mouth of the hole as it is known, m, along the world's axes."""
+        """The vector from the mouth of the known hole to the tip, m, along the world's axes."""
         return _sum(self.tip, self.known, sign=-1)
 
     @property
     def target(self) -> Quaternion:
-        """The nearest rotation of the peg that fits into the hole as it is known."""
+        """The nearest rotation of the peg that fits into the known hole."""
         yaw, shape = _yaw(self.rotation), self.settings.shape
         if shape == "square":
             yaw += (self.known_yaw - yaw + pi / 4) % (pi / 2) - pi / 4
@@ -315,7 +316,7 @@ class Insert(Task):
         return [*values, *near, *felt, float(self.overloaded), *(tanh(value / scale) for value, scale in touch)]
 
     def touch(self) -> tuple[float, float, float, float]:
-        """The wrench of the wrist at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
+        """The wrist's wrench at the tip: force from below (N), its place (x and y in m), torque about z (N m)."""
         tool, wrench = self._robot.tool, self._robot.wrench
         force, arm = rotated(tool.orientation, wrench[:3]), _sum(self.tip, tool.position, sign=-1)
         up, (x, y, z) = force[2], _sum(rotated(tool.orientation, wrench[3:]), _cross(arm, force), sign=-1)
@@ -342,26 +343,26 @@ class Insert(Task):
 
 
 CLEARANCE = 0.004
-"""m of the tip above the mouth while it is not yet over it."""
+"""Height in m of the tip above the mouth before it is over it."""
 OVER, STRAIGHT = 0.0015, 0.02
-"""Distance from the known axis of the hole in m, and turn of the peg in rad, within which the tip goes down."""
+"""Largest distance from the known axis in m, and largest turn of the peg in rad, at which the tip goes down."""
 FAST, RATE, LEAD = 0.06, 2.0, 0.1
-"""Largest speed downwards in m/s, speed for each m that mouth or bottom is away, s by which a wrong speed counts."""
+"""Largest speed downwards in m/s, speed per m of distance to mouth or bottom, time in s for errors of the speed."""
 PRESSING, STUCK = 0.003, 0.006
-"""m of the set point below a tip that rests on something, and m/s: a tip that sinks slower rests."""
+"""Depth in m of the set point below a resting tip, and speed in m/s below which a sinking tip rests."""
 RIM = 0.0002
-"""m below the chamfer down to which the tip may still rest on it."""
+"""Depth in m below the chamfer down to which the tip may still rest on it."""
 ASIDE, FURTHEST = 0.2, 0.003
-"""m of the set point aside for each m that the pressure lies to the other side, and the most of it."""
+"""Sideways shift of the set point per m of the pressure's offset to the other side, and the largest shift in m."""
 TURNING, TURNING_INSIDE, MOST_TURN = 0.2, 0.05, 0.015
-"""rad of the set point for each N m about the vertical, the same in the hole, and the most of it."""
+"""Turn of the set point in rad per N m about the vertical, the same in the hole, and the largest turn."""
 
 
 class InsertExpert(Expert):
-    """Goes over the hole, straightens the peg, goes down, and from the mouth on gives way to forces.
+    """Goes over the hole, straightens the peg, goes down, and from the mouth on follows the forces.
 
-    A peg that rests on the rim is pressed from below on the side away from the hole, so it goes to the other. One that
-    rests on the chamfer is turned by it towards the position that fits. Each action depends on the current step alone.
+    The rim presses a resting peg from below on the side away from the hole, so it moves to the other side. The chamfer
+    turns a resting peg towards the position that fits. Each action depends only on the current step.
     """
 
     def __init__(self, robot: RobotView, task: Insert) -> None:
@@ -393,7 +394,7 @@ class InsertExpert(Expert):
 
 
 def block(settings: Insert.Settings) -> list[Shape]:
-    """A block with a hole, of boxes: its bottom is at z = 0, the middle of the hole at x = y = 0."""
+    """A block with a hole, made of boxes: its bottom is at z = 0, the middle of the hole at x = y = 0."""
     chamfer = settings.chamfer
     deep, above, rim = _sides(settings, 0.0, WALL), _sides(settings, chamfer, WALL), _sides(settings, chamfer, 0.0)
     outside = 2 * (max(side.inner for side in deep) + WALL)
@@ -414,7 +415,7 @@ def block(settings: Insert.Settings) -> list[Shape]:
 
 
 def peg(shape: str) -> list[Shape]:
-    """The peg upright, its middle at the origin; a connector has its ridge at +x."""
+    """The upright peg with its middle at the origin. A connector has its ridge at +x."""
     width = PEG_WIDTH[shape]
     if shape == "round":
         return [Cylinder(width / 2, PEG_LENGTH)]
@@ -428,13 +429,13 @@ class _Face(NamedTuple):
     """A side of a hole: a line as seen from above."""
 
     turn: Quaternion
-    """From the x axis to the direction out of the hole."""
+    """Angle from the x axis to the direction out of the hole."""
     inner: float
     """Distance of the line from the middle of the hole, m."""
     along: float
     """Position of its middle along the line, m."""
     length: float
-    """In m."""
+    """Length in m."""
 
 
 def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Face]:
@@ -442,9 +443,9 @@ def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Face]:
 
     Args:
         settings: shape and play.
-        wider: distance in m that each side is further out: the width of the chamfer.
-        wall: thickness in m of walls behind the sides, which are longer, so that they meet at the corners outside. A
-            side without a wall of its own then has no length.
+        wider: distance in m by which each side is further out: the width of the chamfer.
+        wall: thickness in m of walls behind the sides. The walls are longer and meet at the outer corners. A side
+            without a wall of its own then has no length.
     """
     half = (PEG_WIDTH[settings.shape] + settings.play) / 2 + wider
     if settings.shape != "connector":

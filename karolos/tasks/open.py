@@ -22,24 +22,24 @@ from .settings import ForcePenalty, drawn_stage, seen, start
 
 PIECE_COLOUR, FRONT_COLOUR = (0.35, 0.42, 0.5, 1.0), (0.93, 0.45, 0.13, 1.0)
 TRAVEL, ANGLE = 0.15, pi / 2
-"""How far the drawer moves in m, and how far the door turns in rad."""
+"""Travel of the drawer in m, and of the door in rad."""
 WIDTH, DEPTH, TOP, BOARD = 0.18, 0.16, 0.06, 0.016
-"""Sizes of the piece, and thickness of its boards, in m. It is too low to meet a hand that is at the handle."""
+"""Sizes of the piece, and thickness of its boards, in m. It is too low to touch a hand at the handle."""
 BAR = 0.012
 """Thickness of the bar of the handle in m. With its two legs it encloses a square in front of drawer or door."""
 BAR_HEIGHT, GRIP = 0.05, 0.045
-"""Height of the bar, and of the tool that is behind it, in m."""
+"""Height of the bar, and of the tool behind it, in m."""
 HINGE_DISTANCE = 0.13
-"""m from the hinge of the door to its handle, along the door."""
+"""Distance in m from the hinge of the door to its handle, along the door."""
 PLACE, TURN, MARGIN = (0.08, 0.16, 0.0), pi / 4, 0.01
-"""Edges in m of the box in which the middle of the handle's way lies, the largest turn of the piece from facing the
-robot in rad, and the distance in m of that way from the edges of the workspace."""
+"""Edges in m of the box for the middle of the handle's way, largest turn of the piece away from the robot in rad, and
+distance in m of that way from the edges of the workspace."""
 NEAR = 0.08
-"""m above the handle of the highest start near it."""
+"""Largest height in m above the handle of a start near it."""
 
 
 class JointGoal(PointGoal):
-    """Success where a joint is near its goal, in m or rad.
+    """Success if a joint is near its goal, in m or rad.
 
     `achieved` and `desired` (..., 4): the position of the joint and that of the handle (3, m), which follows from it.
     """
@@ -53,7 +53,7 @@ class JointGoal(PointGoal):
 
 
 class HingeGoal(JointGoal):
-    """The same for a joint that turns, whose position is an angle."""
+    """The same for a turning joint, whose position is an angle."""
 
     def angle(self, achieved: Array, desired: Array) -> FloatArray:
         off: FloatArray = np.abs(achieved[..., 0] - desired[..., 0])
@@ -63,13 +63,14 @@ class HingeGoal(JointGoal):
 class Open(Task):
     """What to do: bring a drawer to within 1 cm of a position, or a door to within 3 degrees, by its handle.
 
-    A drawer moves by 15 cm, a door turns by 90 degrees. A handle is a bar on two legs, which a closed gripper that
-    points down pulls and pushes from behind. The goal may be more or less open than the start.
+    A drawer moves by 15 cm, a door turns by 90 degrees. A handle is a bar on two legs. A closed gripper that points
+    down moves it from behind. The goal may be more or less open than the start.
 
-    What is randomised: the middle of the handle's way, in a box of 8 by 16 cm in the middle of the workspace; where the
-    piece faces, by up to 45 degrees from the robot; the position of the joint at the start and the goal, uniformly over
-    its range. With probability `start_hooked` an episode begins with the tool behind the bar, of the others with
-    probability `start_near` with the tool there or up to 8 cm above: parameters that training may draw.
+    What is randomised: the middle of the handle's way, in a box of 8 by 16 cm in the middle of the workspace; the
+    direction of the piece, up to 45 degrees away from the robot; the position of the joint at the start and in the
+    goal, uniformly over its range. With probability `start_hooked` an episode begins with the tool behind the bar. The
+    others begin with probability `start_near` with the tool there or up to 8 cm above. Training may sample these
+    parameters.
 
     Observation: handle_position (3, m), handle_direction (2, where it moves when the piece opens), handle_speed (1, m/s
     along it), joint_position (1, m or rad), handle_from_tool (3, m).
@@ -81,19 +82,21 @@ class Open(Task):
     """
 
     class Settings(BaseSettings):
-        mechanism: Literal["drawer", "door"] = Setting("drawer", description="what is opened and closed")
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+        mechanism: Literal["drawer", "door"] = Setting("drawer", description="fixture to open and close")
+        reward: Literal["sparse", "dense"] = Setting(
+            "sparse", description="-1 until success, or minus the distance in m"
+        )
         threshold: float = Setting(0.01, gt=0, le=0.05, description="distance at which a drawer's goal is reached, m")
         angle_threshold: float = Setting(
-            pi / 60, gt=0, le=0.5, description="angle at which a door's goal is reached, rad; the default is 3 degrees"
+            pi / 60, gt=0, le=0.5, description="angle at which a door's goal is reached, rad; default: 3 degrees"
         )
         handle_width: float = Setting(
-            0.07, ge=0.04, le=0.1, description="edge of the square behind the bar of the handle, m"
+            0.07, ge=0.04, le=0.1, description="space behind the bar of the handle: edge of a square, m"
         )
         friction: Annotated[float, Drawn("1", 0.0, 3.0)] = Setting(
             0.5, ge=0, le=5, description="lateral friction coefficient of drawer or door and handle"
         )
-        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of what moves, kg")
+        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of the moving part, kg")
         joint_friction: Annotated[float, Drawn("N", 0.0, 20.0)] = Setting(
             3.0, ge=0, le=50, description="dry friction of the joint, as a force at the handle, N"
         )
@@ -101,7 +104,7 @@ class Open(Task):
             5.0, ge=0, le=200, description="viscous friction of the joint, at the handle, N s/m"
         )
         force_penalty: ForcePenalty | None = Setting(
-            None, description="what pressing costs: of the largest force on a link of arm or gripper; null: nothing"
+            None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
         )
         start_hooked: Probability = start("the tool behind the bar of the handle")
         start_near: Probability = start("the tool behind the bar of the handle or above it")
@@ -111,7 +114,7 @@ class Open(Task):
     drawn: Settings
     goal_rule: JointGoal
     uses_gripper = False
-    protective_stop = False  # a tool that meets the bar at full speed presses with 200 N, and must learn not to
+    protective_stop = False  # a tool that hits the bar at full speed presses with 200 N, and must learn not to
     camera = Camera(target=(0.5, 0.0, 0.08), distance=1.2)
     observation = Layout(
         (
@@ -131,10 +134,10 @@ class Open(Task):
         self.turns = settings.mechanism == "door"
         self.range = ANGLE if self.turns else TRAVEL
         self.handle = BOARD / 2 + settings.handle_width / 2, HINGE_DISTANCE if self.turns else 0.0
-        """Its x and y in m from the middle of the front or from the hinge, closed: x is where it opens to."""
+        """Its x and y in m from the middle of the front or from the hinge, when closed. It opens along x."""
         self.lever = hypot(*self.handle) if self.turns else 1.0
-        """m that the handle moves per m or rad of the joint."""
-        if self.turns:  # its hinge is on one side: in a mirror it is another door
+        """Way of the handle in m per m or rad of the joint."""
+        if self.turns:  # its hinge is on one side: the mirror image is another door
             self.observation = Layout(tuple(replace(field, kind=None) for field in self.observation.fields))
         dense = settings.reward == "dense"
         rule, threshold = (HingeGoal, settings.angle_threshold) if self.turns else (JointGoal, settings.threshold)
@@ -211,25 +214,25 @@ class Open(Task):
         self.read()
 
     def _stand(self, middle: FloatArray) -> None:
-        """Set the place of the piece so that the middle of the handle's way is there, in m."""
+        """Place the piece so that the middle of the handle's way is there, in m."""
         self.origin = 0.0, 0.0
         x, y, _ = np.subtract(middle, self.handle_at(self.range / 2)).tolist()
         self.origin = x, y
 
     def _fits(self, middle: FloatArray) -> bool:
-        """Whether the handle stays in the workspace on its way, if the middle of that is there."""
+        """Whether the handle stays in the workspace if the middle of its way is there."""
         self._stand(middle)
         way = (self.handle_at(share * self.range) for share in (0.0, 0.25, 0.5, 0.75, 1.0))
         return all(self._robot.workspace.contains(point, -MARGIN) for point in way)
 
     def handle_at(self, position: float) -> Vector:
-        """Where a tool hooks the handle, in m, at a position of the joint."""
+        """Place in m where a tool hooks the handle, at a position of the joint."""
         (x, y), turned = self.handle, self.yaw - position if self.turns else self.yaw
         x, a, b = x if self.turns else x + position, cos(turned), sin(turned)
         return self.origin[0] + a * x - b * y, self.origin[1] + b * x + a * y, GRIP
 
     def direction_at(self, position: float) -> tuple[float, float]:
-        """Where the handle moves when the joint opens, as a unit vector along the floor."""
+        """Direction of the handle's motion when the joint opens: a unit vector along the floor."""
         (x, y), turned = self.handle, self.yaw - position if self.turns else self.yaw
         across, along = (-x / self.lever, y / self.lever) if self.turns else (0.0, 1.0)
         return cos(turned) * along - sin(turned) * across, sin(turned) * along + cos(turned) * across
@@ -257,18 +260,18 @@ class Open(Task):
 
 
 HOVER = 0.055
-"""m above the handle at which the tool arrives."""
+"""Height in m above the handle at which the tool arrives."""
 ALIGNED = 0.01
 """Distance in m from the middle of the handle's square at which the tool goes down."""
 AHEAD, GAIN, SLOWING = 0.008, 1.5, 0.6
-"""m of the handle's way that the tool aims ahead while the handle rests, what it aims further per m that the handle
-moves in a control step, and the share of the way to the goal that it aims ahead at the most."""
+"""Distance in m that the tool aims ahead on the handle's way while the handle rests; additional distance per m that the
+handle moves in a control step; and the largest share of the way to the goal that it aims ahead."""
 DONE = 0.3
 """Fraction of the threshold at which the handle is left alone."""
 
 
 class OpenExpert(Expert):
-    """Goes over the handle, down behind its bar, and along its way. Restarts when it is out of it."""
+    """Goes over the handle, down behind its bar, and along its way. Restarts when it has left the bar."""
 
     def __init__(self, robot: RobotView, task: Open) -> None:
         self._robot, self._task = robot, task

@@ -23,14 +23,14 @@ AIR_PROBABILITY = 0.7
 class StagedPick(PointGoal):
     """Reward in [-1, 0] for reaching, grasping, lifting and transporting an object: the mean of four stages, minus 1.
 
-    A function of the state alone, so that an arm loses by leaving what it gains by approaching. `achieved` (..., 7) is
+    It depends only on the state, so that an arm loses by leaving what it gains by approaching. `achieved` (..., 7) is
     the position of the object (3) and of the tool (3) in m, and the fraction of pads that grip; `desired` (..., 3).
 
     * reach: 1 - tanh(5 d), d from tool to object in m
     * grasp: fraction of pads whose inner faces touch the object
     * lift: fraction of the goal's height above the floor; 1 for a goal on the floor
     * transport: 1 - tanh(5 d), d from object to goal
-    The reward is 0 where the goal is reached.
+    The reward is 0 if the goal is reached.
 
     Args:
         rest: height in m of the centre of an object on the floor.
@@ -65,8 +65,8 @@ class PickPlace(PointGoalTask, CarryTask):
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it); 30 % of the goals lie on the floor, 70 % in the air up to .2 m; the cube is never at the goal at the
     start. With probability `start_grasped` an episode begins with the cube in the gripper; as a parameter of domain
-    randomization it does so in training alone, as half of the episodes in Andrychowicz et al. 2017. Of the others, with
-    probability `start_near` an episode begins with the open gripper around the cube or at most 8 cm above it.
+    randomization only in training, like half of the episodes in Andrychowicz et al. 2017. The other episodes begin with
+    probability `start_near` with the open gripper around the cube or at most 8 cm above it.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -79,13 +79,13 @@ class PickPlace(PointGoalTask, CarryTask):
     """
 
     class Settings(PointGoalSettings, CubeSettings):
-        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or staged in [-1, 0]")
+        reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until success, or in [-1, 0] by stages")
         start_near: Probability = start("the gripper near the cube")
         start_grasped: Probability = start("the cube in the gripper")
 
     settings: Settings
     drawn: Settings
-    protective_stop = False  # a policy that learns presses on cube and floor; `force_penalty` teaches it not to
+    protective_stop = False  # a learning policy presses on cube and floor; `force_penalty` teaches it not to
     achieved_goal = Layout((Field("object_position", 3, "m", kind="point"),))
 
     def __init__(self, settings: PickPlace.Settings) -> None:

@@ -1,4 +1,4 @@
-"""Goals that are positions: rule, settings and the part of a task that reach, push and pick_place share."""
+"""Goals that are positions: rule, settings, and the common part of the tasks reach, push and pick_place."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ GOAL_COLOUR = (0.16, 0.74, 0.32, 0.5)
 
 
 class PointGoal(GoalRule):
-    """Success where the distance of `achieved` (..., 3) from `desired` (..., 3) is under `threshold`, in m.
+    """Success if the distance of `achieved` (..., 3) from `desired` (..., 3) is below `threshold`, in m.
 
     Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m.
 
@@ -51,11 +51,11 @@ class PointGoal(GoalRule):
 
 
 class Places(PointGoal):
-    """Several positions at once, and whether they are left alone, such as the places of things on one another.
+    """Several positions at once, and whether the objects are released: e.g. the places of stacked cubes.
 
-    `achieved` and `desired` (..., 3 n + 1): n positions in m, and 1 if all things are let go and at rest, else 0. With
-    0 in `desired` it does not matter. Sparse reward: minus the share of things that are not in their place, the last
-    of which also counts as long as they are not left alone. The distance is that of the furthest.
+    `achieved` and `desired` (..., 3 n + 1): n positions in m, and 1 if all objects are released and at rest, else 0.
+    With 0 in `desired` the last number does not matter. Sparse reward: minus the share of objects that are not in their
+    place; the last object also counts until all are released. The distance is that of the furthest object.
     """
 
     def __init__(self, threshold: float) -> None:
@@ -77,7 +77,7 @@ class Places(PointGoal):
 
     def _distances(self, achieved: Array, desired: Array) -> FloatArray:
         off = (achieved - desired)[..., :-1]
-        off = off.reshape(*off.shape[:-1], off.shape[-1] // 3, 3)  # also of no goals
+        off = off.reshape(*off.shape[:-1], off.shape[-1] // 3, 3)  # also for zero goals
         metres: FloatArray = np.sqrt(np.vecdot(off, off), dtype=np.float32)
         return metres
 
@@ -128,10 +128,10 @@ def sample_position(
 class PointGoalSettings(Settings):
     """Settings of every task with a point goal."""
 
-    reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until there, or minus the distance in m")
+    reward: Literal["sparse", "dense"] = Setting("sparse", description="-1 until success, or minus the distance in m")
     threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the goal is reached, m")
     goals: Literal["box", "workspace"] = Setting(
-        "box", description="goals in a box of .3 m edges in the middle of the workspace, or in all of it"
+        "box", description="goals in a box with edges of 0.3 m in the middle of the workspace, or in all of it"
     )
     max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
@@ -152,7 +152,7 @@ class PointGoalTask(Task):
         self._marker = world.marker(self.settings.threshold, GOAL_COLOUR)
 
     def _sample_goal(self, generator: Generator, box: Box) -> None:
-        """Draw a goal in `box` that is not achieved yet, and mark it."""
+        """Sample a goal in `box` that is not achieved yet, and mark it."""
         start = self.achieved()
         self.goal = sample_position(generator, box, "the goal", lambda goal: not self.goal_rule.success(start, goal))
         x, y, z = self.goal.tolist()

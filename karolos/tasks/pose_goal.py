@@ -13,7 +13,7 @@ from ..simulation.geometry import Orientations, Quaternion, Vector, angles, colu
 from ..simulation.interface import Box, RobotView
 
 METRES_PER_RADIAN = 0.1
-"""Cost of a radian in a dense reward."""
+"""Cost in m of a radian in a dense reward."""
 
 
 def pose_fields(what: str) -> tuple[Field, Field]:
@@ -22,30 +22,30 @@ def pose_fields(what: str) -> tuple[Field, Field]:
 
 
 def pose_array(position: Sequence[float], orientation: Quaternion) -> FloatArray:
-    """A pose as a goal has it: (9,)."""
+    """A pose in the form of a goal: (9,)."""
     return np.array([*position, *columns(orientation)], np.float32)
 
 
 def sample_orientation(generator: Generator, orientations: Orientations) -> Quaternion:
-    """One of these, its tilt uniform in a disc and its turn uniform in a range."""
+    """A random one of these orientations: its tilt uniform in a disc and its turn uniform in a range."""
     tilt, direction = orientations.tilt * sqrt(generator.uniform()), generator.uniform(-pi, pi)
     turn = generator.uniform(-orientations.turn, orientations.turn)
     return orientations.at(tilt * cos(direction), tilt * sin(direction), turn)
 
 
 def check_turning(robot: RobotView) -> Box:
-    """Where the robot can turn its tool. Raises UsageError if its actions do not turn it, or that is not known."""
+    """Where the robot can turn its tool. Raises UsageError if actions do not turn it, or the space is unknown."""
     if not robot.orientations.tilt:
         hint = "set robot.control: pose"
         raise UsageError("these actions do not turn the tool", setting="robot.control", hint=hint)
     if robot.dexterous is None:
         hint = "declare `dexterous` in its model"
-        raise UsageError("the robot does not say where its tool can be turned", setting="robot", hint=hint)
+        raise UsageError("it is unknown where this robot can turn its tool", setting="robot", hint=hint)
     return robot.dexterous
 
 
 class PoseGoal(GoalRule):
-    """Success where position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
+    """Success if position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
 
     Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m, minus .1 m per rad of the angle.
 
@@ -53,10 +53,10 @@ class PoseGoal(GoalRule):
         threshold: distance under which the position is reached, m.
         angle_threshold: angle under which the orientation is reached, rad: that of the rotation between the two.
         span: largest possible distance in m; it bounds the dense reward.
-        symmetries: turns of the moved thing about its own axes that leave it as it is, besides none: a square peg has
-            three, of 90, 180 and 270 degrees.
-        axis: of a thing that is the same after any turn about it; only the directions of this axis are compared. If a
-            symmetry reverses it, both directions are the same.
+        symmetries: turns of the moved object about its own axes that do not change it, without the turn by 0: a square
+            peg has three, by 90, 180 and 270 degrees.
+        axis: symmetry axis of an object that any turn about it leaves unchanged. Only directions of this axis are
+            compared. If a symmetry reverses it, both directions are the same.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class PoseGoal(GoalRule):
         self.reward_range = (-span - METRES_PER_RADIAN * pi, 0.0) if dense else (-1.0, 0.0)
         turns = [matrix_of(one).ravel() for one in ((0.0, 0.0, 0.0, 1.0), *symmetries)] if symmetries else []
         self._turns = np.array(turns, np.float32)
-        """Their rotation matrices (k, 9), that of no turn first."""
+        """Their rotation matrices (k, 9), beginning with the turn by 0."""
         self._axis = None if axis is None else np.float32(np.divide(axis, np.linalg.norm(axis)))
         self._reversed = axis is not None and any(np.dot(matrix_of(one) @ axis, axis) < 0 for one in symmetries)
 

@@ -15,11 +15,11 @@ from .point_goal import PointGoalSettings, PointGoalTask, sample_position
 from .settings import drawn_stage, start
 
 CUBE_MARGIN = 0.03
-"""m between the side of the cube and the edge of the workspace, room for the gripper behind the cube."""
+"""Distance in m between the side of the cube and the edge of the workspace: room for the gripper behind the cube."""
 NEAR_DISTANCES = (0.055, 0.2)
-"""m between the centres of cube and tool at a start near the cube, along the floor."""
+"""Distance in m along the floor between the centres of cube and tool at a start near the cube."""
 NEAR_HEIGHT = 0.1
-"""m above the floor of the highest start near the cube."""
+"""Largest height in m above the floor of a start near the cube."""
 
 
 class Push(PointGoalTask, CubeTask):
@@ -45,7 +45,7 @@ class Push(PointGoalTask, CubeTask):
     settings: Settings
     drawn: Settings
     uses_gripper = False
-    protective_stop = False  # a policy that learns presses on cube and floor
+    protective_stop = False  # a learning policy presses on cube and floor
     achieved_goal = Layout((Field("object_position", 3, "m", kind="point"),))
 
     def fit(self, robot: RobotView) -> None:
@@ -87,11 +87,11 @@ def near_start(robot: RobotView, cube: Vector, generator: Generator, angles: tup
 
 
 CROSSING_HEIGHT = 0.065
-"""m above the floor at which the gripper crosses the cube."""
+"""Height in m above the floor at which the gripper crosses the cube."""
 ALIGNED_DISTANCE = 0.015
-"""m off its place behind the cube at which the gripper may go down."""
+"""Distance in m from its place behind the cube at which the gripper may go down."""
 PUSHING_CLEARANCE = 0.004
-"""m above the lowest position of the tool at which it pushes, so that it does not rub on the floor."""
+"""Height in m above the lowest position of the tool at which it pushes, so that it does not rub on the floor."""
 DONE_SHARE = 0.5
 """Fraction of the threshold at which the cube is left alone."""
 
@@ -124,7 +124,7 @@ class PushExpert(Expert):
         return robot.towards((x + ux * ahead, y + uy * ahead, low), 0.0)
 
     def _behind(self, ux: float, uy: float, low: float) -> tuple[float, Vector | None]:
-        """How far the tool is ahead of the cube along (ux, uy) in m, and the way to behind it; None: it is there."""
+        """Distance in m of the tool ahead of the cube along (ux, uy), and the way behind it; None: it is there."""
         robot, (x, y, _), (tx, ty, tz) = self._robot, self._task.cube.position, self._robot.tool_position
         # position of the tool relative to the cube, along and across the direction of the push
         along, across = (tx - x) * ux + (ty - y) * uy, (ty - y) * ux - (tx - x) * uy

@@ -18,7 +18,7 @@ class Reach(PointGoalTask):
     What is randomised: the goal, uniformly in a box of .3 m edges in the middle of the robot's workspace
     (`goals: workspace`: in all of it), never reached at the start. The robot starts at its home pose with reset noise.
 
-    Observation: the robot's alone.
+    Observation: only the robot's.
     Action: the robot's, without the gripper.
     Goals: achieved, the tool position (3, m); desired, the goal position (3, m).
     Reward: sparse -1 until the goal is reached, then 0; dense minus the distance in m.
@@ -28,7 +28,7 @@ class Reach(PointGoalTask):
 
     Settings = PointGoalSettings
     uses_gripper = False
-    protective_stop = False  # nothing stands in the way
+    protective_stop = False  # there is no obstacle
     achieved_goal = Layout((Field("tool_position", 3, "m", kind="point"),))
 
     def fit(self, robot: RobotView) -> None:

@@ -14,21 +14,21 @@ from .point_goal import GOAL_COLOUR, check_threshold, sample_position
 from .pose_goal import PoseGoal, check_turning, pose_array, pose_fields, sample_orientation
 
 GOAL_BOX = (0.16, 0.24, 0.24)
-"""Edges in m of the box of goals; every built-in arm has such a one in which it can turn its tool."""
+"""Edges in m of the box of goals. Every built-in arm can turn its tool in a box of this size."""
 AXIS_COLOURS = (0.86, 0.24, 0.2, 1.0), (0.16, 0.6, 0.3, 1.0), (0.2, 0.4, 0.86, 1.0)
 AXIS_LENGTH = 0.06
-"""m, of the axes that pictures show at the goal."""
+"""Length in m of the axes that pictures show at the goal."""
 
 
 class ReachPoseSettings(Settings):
     """Settings of reach_pose."""
 
     reward: Literal["sparse", "dense"] = Setting(
-        "sparse", description="-1 until there, or minus the distance in m and .1 m per rad"
+        "sparse", description="-1 until success, or minus the distance in m and .1 m per rad"
     )
     threshold: float = Setting(0.01, gt=0, le=0.5, description="distance at which the position is reached, m")
     angle_threshold: float = Setting(
-        0.0873, gt=0, le=3.15, description="angle at which the orientation is reached, rad; the default is 5 degrees"
+        0.0873, gt=0, le=3.15, description="angle at which the orientation is reached, rad; default: 5 degrees"
     )
     max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
@@ -40,7 +40,7 @@ class ReachPose(Task):
     dexterous space. The tool is turned by up to .8 rad about the vertical and tilted by up to .3 rad from pointing
     down (built-in arms). The robot starts at its home pose with reset noise.
 
-    Observation: the robot's alone.
+    Observation: only the robot's.
     Action: the robot's, without the gripper.
     Goals: achieved, position (3, m) and rotation (6, the first two columns of its matrix) of the tool; desired, the
     same of the goal.
@@ -84,7 +84,7 @@ class ReachPose(Task):
         return np.array([*tool.position, *tool.x, *tool.y], np.float32)
 
     def strokes(self) -> list[Stroke]:
-        """The axes of the tool at the goal, the last from where it comes."""
+        """The axes of the tool at the goal; the last one shows the direction of approach."""
         x, y, z = self.position
         ends = [(AXIS_LENGTH * a, AXIS_LENGTH * b, AXIS_LENGTH * c) for a, b, c in axes(self.orientation)]
         ends[2] = -ends[2][0], -ends[2][1], -ends[2][2]

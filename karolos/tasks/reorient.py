@@ -41,16 +41,16 @@ from .reach_pose import AXIS_COLOURS, GOAL_BOX
 from .settings import drawn_stage, start
 
 EDGES = (1.0, 4 / 3, 2.0)
-"""Edges of the box in units of the smallest one; the cylinder is as long as the longest, as thick as the next. A hand
-that holds a longer one while it stands would press on its top."""
+"""Edges of the box in units of the smallest one. The cylinder has the length of the longest and the thickness of the
+second. A hand that holds a longer standing object would press on its top."""
 LYING: Quaternion = (sqrt(0.5), 0.0, 0.0, sqrt(0.5))
-"""The rotation that lays the object down, so that a gripper holds it by the same sides as when it stands."""
+"""The rotation that lays the object down. A gripper then holds it by the same sides as when it stands."""
 HALF_TURNS: tuple[Quaternion, ...] = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
-"""About each axis: they leave a box as it is."""
+"""Half turns about each axis, which do not change a box."""
 AIR_PROBABILITY, AIR = 0.6, (0.03, 0.15)
 """Probability of a goal in the air, and its height in m above the object's when it rests on the floor."""
 OVER_TOP = (0.012, 0.04)
-"""m of the tool above the top of the object in episodes that start over it: the pads reach a part of that lower."""
+"""Height in m of the tool above the top of the object in episodes that start over it. The pads reach a bit lower."""
 TURN_SHARE = 0.9
 """Share of the tool's largest turn by which object and goals are turned."""
 
@@ -59,20 +59,20 @@ class ReorientSettings(CubeSettings):
     """Settings of reorient."""
 
     shape: Literal["box", "cylinder"] = Setting(
-        "box", description="of the object: edges of 1, 4/3 and 2 times its size, or 2 times long and 4/3 thick"
+        "box", description="box: edges of 1, 4/3 and 2 times its size; cylinder: 2 times long and 4/3 thick"
     )
     object_size: float = Setting(0.03, ge=0.015, le=0.05, description="smallest edge of the box, m")
     object_friction: Annotated[float, Drawn("1", 0.3, 5.0)] = Setting(
         1.0, ge=0, le=5, description="lateral friction coefficient of the object"
     )
     reward: Literal["sparse", "dense"] = Setting(
-        "sparse", description="-1 until there, or minus the distance in m and .1 m per rad"
+        "sparse", description="-1 until success, or minus the distance in m and .1 m per rad"
     )
     threshold: float = Setting(0.02, gt=0, le=0.1, description="distance at which the position is reached, m")
     angle_threshold: float = Setting(
-        pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; the default is 15 degrees"
+        pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; default: 15 degrees"
     )
-    lying: Probability = Setting(0.5, description="share of the episodes in which the object lies; else it stands")
+    lying: Probability = Setting(0.5, description="share of episodes in which the object lies; else it stands")
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
     start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")
@@ -85,14 +85,14 @@ UPWARDS = 0.7
 
 
 class Piece(Cube):
-    """A box or a cylinder. Its third axis is along its length, its first across what a gripper holds."""
+    """A box or a cylinder. Its third axis is along its length, its first along the width that a gripper holds."""
 
     def shape(self, settings: Any) -> Shape:
         size: float = settings.object_size
         self.edges = x, y, z = tuple(size * edge for edge in EDGES)
         self.round, self.half = settings.shape == "cylinder", z / 2
         self.width = y if self.round else x
-        """Between the pads, in m."""
+        """Width between the pads, in m."""
         shape: Shape = Cylinder(y / 2, z) if self.round else Cuboid((x, y, z))
         self.inertia = inertia_of([shape], 1.0).moments
         """Principal moments of 1 kg, in kg m2."""
@@ -110,7 +110,7 @@ class Piece(Cube):
         return self.position[2] - sum(edge / 2 * height for edge, height in zip(self.edges, heights, strict=True))
 
     def across(self) -> float:
-        """Yaw in rad along which pads hold it, whatever stands upwards."""
+        """Yaw in rad along which pads hold it, whichever axis points upwards."""
         first, second, third = axes(self.orientation)
         if self.round:
             x, y, z = third
@@ -122,15 +122,15 @@ class Piece(Cube):
 class Reorient(CubeTask):
     """What to do: bring a box or a cylinder to a pose: to within 2 cm and 15 degrees, on the floor or in the air.
 
-    A gripper that points down turns what it holds about the vertical, and tilts it a little. The object therefore lies
-    in goals if it lies at the start, and stands if it stands.
+    A gripper that points down can turn the object about the vertical, and tilt it only a little. An object that lies at
+    the start therefore has a lying goal, and a standing object a standing goal.
 
     What is randomised: whether the object lies or stands; position and turn of object and goal, in a box of .16 by .24
     m in the middle of the robot's dexterous space, turned by up to .72 rad to either side (built-in arms). 40 % of the
-    goals lie on the floor, 60 % in the air, .03 to .15 m higher and tilted by up to .3 rad. An episode begins with the
-    object in the gripper somewhere in the air with probability `start_carried`, of the others in the gripper where it
-    is with `start_grasped`, of the others right over it with `start_over`, turned and closed anyhow, of the others with
-    the open gripper around or above it with `start_near`: parameters that training may draw, tests never do.
+    goals lie on the floor, 60 % in the air, .03 to .15 m higher and tilted by up to .3 rad. Stages that training may
+    sample and tests never do, each among the episodes without an earlier stage: `start_carried` (object in the gripper
+    somewhere in the air), `start_grasped` (object in the gripper where it is), `start_over` (gripper right over it,
+    with any turn and opening), `start_near` (open gripper around or above it).
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m).
@@ -139,7 +139,8 @@ class Reorient(CubeTask):
     same of the goal.
     Reward: sparse -1 until the goal is reached, then 0; dense minus the distance in m, minus .1 m per rad of the angle.
     What counts as success: the object lies within `threshold` of the goal and is turned by less than `angle_threshold`
-    from it. A box is the same after half a turn about each axis, a cylinder after any about its length, and reversed.
+    from it. A half turn about each axis does not change a box. Turns about its length and reversal do not change a
+    cylinder.
     Termination: never; the episode is truncated after `max_steps`.
     """
 
@@ -149,7 +150,7 @@ class Reorient(CubeTask):
     object_class = Piece
     uses_gripper = True
     control = "pose"
-    protective_stop = False  # a hand that comes down on the object presses with more than it allows
+    protective_stop = False  # a hand that comes down on the object presses with more than the limit
     achieved_goal = Layout(pose_fields("object"))
     desired_goal = Layout(pose_fields("goal"))
     cube: Piece
@@ -160,7 +161,7 @@ class Reorient(CubeTask):
         self.gripper = check_pads(robot, type(self).__name__, "turns what it holds")
         if EDGES[1] * settings.object_size > 0.7 * self.gripper.width:
             raise UsageError(
-                f"an object of {settings.object_size:g} m does not go into the gripper",
+                f"an object of {settings.object_size:g} m does not fit into the gripper",
                 setting="task.object_size",
                 hint=f"it opens {self.gripper.width:g} m, and the object is 4/3 of its size wide",
             )
@@ -190,7 +191,7 @@ class Reorient(CubeTask):
         middle, turn = robot.orientations.middle, TURN_SHARE * robot.orientations.turn
 
         def pose(air: bool) -> tuple[Vector, Quaternion]:
-            """Position of the object and orientation of the tool that holds it."""
+            """Position of the object, and orientation of the tool that holds it."""
             x, y, z = sample_position(generator, ground, "the object").tolist()
             if not air:
                 return (x, y, z), robot.orientations.at(0.0, 0.0, generator.uniform(-turn, turn))
@@ -227,7 +228,7 @@ class Reorient(CubeTask):
         return pose_array(self.cube.position, self.cube.orientation)
 
     def strokes(self) -> list[Stroke]:
-        """The axes of the object at the goal, both ways."""
+        """The axes of the object at the goal, in both directions."""
         found = []
         for axis, edge, colour in zip(axes(self.goal_rotation), self.cube.edges, AXIS_COLOURS, strict=True):
             x, y, z = self.goal_position
@@ -240,26 +241,26 @@ class Reorient(CubeTask):
 
 
 def closing_yaw(robot: RobotView) -> float:
-    """Yaw in rad of the direction in which the pads close, the tool as at home."""
+    """Yaw in rad of the direction in which the pads close, with the tool as at home."""
     along = robot.closing
     x, y = (abs(sum(a * b for a, b in zip(along, axis, strict=True))) for axis in (robot.tool.x, robot.tool.y))
     return robot.home_yaw + (pi / 2 if y > x else 0.0)
 
 
 ROOM, CLOSED = 0.03, 0.004
-"""Opening of the gripper beyond the object's width in m: when it approaches, and the largest one when it holds it."""
+"""Opening of the gripper beyond the object's width in m: for the approach, and the largest one while it holds it."""
 OVER, STRAIGHT = 0.01, 0.1
-"""Distance from the object's axis in m, and turn of the tool to it in rad, within which the tool goes down."""
+"""Largest distance from the object's axis in m, and largest turn of the tool to it in rad, at which it goes down."""
 NEAR = 0.012
-"""m of the tool from where it grips, along each axis, within which it closes."""
+"""Largest distance in m of the tool from the place of the grip, along each axis, at which it closes."""
 TURNED = 0.1
-"""rad from the goal's rotation within which an object may go down to it."""
+"""Largest angle in rad to the goal's rotation at which an object may go down to it."""
 PATIENCE = 30
 """Control steps after which a gripper that has closed on nothing opens again."""
 
 
 class ReorientExpert(Expert):
-    """Goes over the object and turns the tool to it, down, closes, lifts, turns and moves it to the goal."""
+    """Goes over the object, turns the tool, goes down, closes, lifts, turns the object and moves it to the goal."""
 
     def __init__(self, robot: RobotView, task: Reorient) -> None:
         self._robot, self._task = robot, task
@@ -270,7 +271,7 @@ class ReorientExpert(Expert):
         self._closing = 1 if self._holding() else 0
 
     def _apart(self) -> float:
-        """Distance in m of the tool from where it grips the object."""
+        """Distance in m of the tool from the place of the grip."""
         (x, y, z), (tx, ty, tz) = self._task.cube.position, self._robot.tool_position
         return max(abs(tx - x), abs(ty - y), abs(tz - max(z + GRIP_HEIGHT, self._robot.workspace.low[2])))
 

@@ -1,6 +1,6 @@
-"""Starts by stages: training episodes that begin further on, such as with the object in the hand. Tests never do.
+"""Starts by stages: training episodes that begin at a later stage, e.g. with the object in the hand. Tests never do.
 
-A task declares a probability for each stage, `start_<stage>`, and asks at a reset which one the episode begins in.
+A task declares a probability for each stage, `start_<stage>`, and asks at a reset for the stage of the episode.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ..simulation.interface import RobotView
 
 def start(how: str) -> Any:
     """The setting of a stage, of the type `Probability`."""
-    return Setting(0.0, description=f"probability that an episode starts with {how}, of those without an earlier stage")
+    return Setting(0.0, description=f"probability that an episode starts with {how}, if it has no earlier stage")
 
 
 def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
@@ -25,7 +25,7 @@ def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
     Args:
         drawn: the task's settings of the episode.
         draw: uniform in [0, 1).
-        stages: in their order: the probability of each is that of the episodes that those before it leave.
+        stages: in order. The probability of a stage applies to the episodes without an earlier stage.
     """
     taken = 0.0
     for stage in stages:
@@ -36,7 +36,7 @@ def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:
 
 
 def seen(robot: RobotView, place: Vector) -> Vector:
-    """Where cameras see what is at this place in m; noise comes later. A robot of karolos 0.2 has no `seen_off`."""
+    """Place in m at which cameras see an object here; noise comes later. Robots of karolos 0.2 have no `seen_off`."""
     x, y, z = getattr(robot, "seen_off", (0.0, 0.0, 0.0))
     return place[0] + x, place[1] + y, place[2] + z
 
@@ -47,9 +47,9 @@ class ForcePenalty(Settings):
     Source: FORGE (Noseworthy et al. 2024, arXiv 2408.04587), where it is .2 times the excess in N.
     """
 
-    limit: float = Setting(50.0, gt=0, description="largest force without a cost, N")
-    weight: float = Setting(1.0, gt=0, description="cost of a force of twice the limit; it grows linearly")
-    most: float = Setting(1.0, gt=0, description="largest cost of a step; a sparse reward of -1 is what time costs")
+    limit: float = Setting(50.0, gt=0, description="largest force that costs nothing, N")
+    weight: float = Setting(1.0, gt=0, description="cost of twice that force; the cost grows linearly")
+    most: float = Setting(1.0, gt=0, description="largest cost of a step; a sparse reward costs 1")
 
     def reward(self, force: float) -> float:
         """In [-most, 0], for the largest force of a step in N."""

@@ -1,4 +1,4 @@
-"""Slide: the arm pushes a puck over a smooth floor, so that it comes to rest where the arm does not reach."""
+"""Slide: the arm pushes a puck over a smooth floor, so that it comes to rest out of the arm's reach."""
 
 from __future__ import annotations
 
@@ -20,28 +20,28 @@ from .push import PUSHING_CLEARANCE, PushExpert, near_start
 from .settings import drawn_stage, start
 
 ROOM_BEHIND = 0.12
-"""m of the workspace behind a puck at the start, for the gripper."""
+"""Length in m of the workspace behind a puck at the start, for the gripper."""
 START_WIDTH = 0.2
-"""Width in m of the box in which pucks start, in the middle of the workspace."""
+"""Width in m of the box of start positions, in the middle of the workspace."""
 ROOM_AHEAD = 0.05
-"""m before the end of the workspace where the arm lets the puck go at the latest."""
+"""Distance in m from the end of the workspace at which the arm releases the puck at the latest."""
 USABLE_SPEED = 0.8
-"""Share of the tool's largest speed that every arm has everywhere in its workspace, to either side, too."""
+"""Share of the tool's largest speed that every arm reaches everywhere in its workspace, also sideways."""
 BEYOND = 0.08
-"""m outside the workspace from which on no gripper touches the puck."""
+"""Distance in m outside the workspace beyond which no gripper touches the puck."""
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
 LOST_PUCK = 1000.0
-"""m from the origin beyond which a puck is lost. One that is hit hard slides over 10 m, and that is no error."""
+"""Distance in m from the origin beyond which a puck is lost. After a hard hit it slides over 10 m without an error."""
 
 
 class Rest(PointGoal):
-    """Success where the puck lies at rest, untouched, under `threshold` m from the target.
+    """Success if the puck lies at rest, untouched, less than `threshold` m from the target.
 
-    `achieved` (..., 3): where the puck comes to rest if nothing touches it any more (2, m), and 1 if it lies there.
-    `desired` (..., 2): the target in m. Sparse reward: 0 as soon as it comes to rest within `reward_share` of the
-    threshold if it is left alone, else -1; dense: minus the distance. A reward for lying there would come long after
-    the last touch, and one up to the threshold teaches to stop at the edge of what counts.
+    `achieved` (..., 3): the place of rest of an untouched puck (2, m), and 1 if it lies there. `desired` (..., 2): the
+    target in m. Sparse reward: 0 as soon as the place of rest is within `reward_share` of the threshold, else -1.
+    Dense: minus the distance. A reward for lying there would come long after the last touch. A reward up to the
+    threshold would teach to stop at the edge.
     """
 
     def __init__(self, threshold: float, *, dense: bool, span: float, reward_share: float) -> None:
@@ -83,7 +83,7 @@ class Slide(CubeTask):
     What is randomised: the puck, in the near half of the workspace within 10 cm to either side; the target: within
     `sector` degrees to either side of straight ahead, beyond the arm's reach by at least `threshold`, and from there at
     most the fraction `share` of the way to the furthest slide. With probability `start_near` an episode begins with
-    the gripper behind the puck, a parameter that training may draw.
+    the gripper behind the puck; training may sample this parameter.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
@@ -94,8 +94,8 @@ class Slide(CubeTask):
     Reward: sparse -1, and 0 while the place of rest is within `reward_share` of the threshold; dense minus its
     distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
-    Termination: never; the episode is truncated after `max_steps`. With probability `end_out_of_reach` already when the
-    puck has left the workspace; as a parameter of domain randomization in training alone.
+    Termination: never; the episode is truncated after `max_steps`, with probability `end_out_of_reach` already when the
+    puck has left the workspace; as a parameter of domain randomization only in training.
 
     The furthest slide follows from the speed of the tool and the friction, which is the product of the floor's and the
     puck's.
@@ -104,22 +104,20 @@ class Slide(CubeTask):
     class Settings(CubeSettings):
         object_size: float = Setting(0.06, ge=0.03, le=0.1, description="diameter of the puck, m; it is half as high")
         object_friction: Annotated[float, Drawn("1", 0.01, 0.02)] = Setting(
-            0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck, times .5 on the floor"
+            0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck; half of it on the floor"
         )
         reward: Literal["sparse", "dense"] = Setting(
             "sparse", description="-1 until it slides there, or minus the distance"
         )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
         reward_share: float = Setting(
-            1.0, gt=0, le=1, description="share of the threshold within which the sparse reward counts"
+            1.0, gt=0, le=1, description="the sparse reward counts within this share of the threshold"
         )
-        share: float = Setting(
-            0.5, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest slide"
-        )
-        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
+        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
         start_near: Probability = start("the gripper behind the puck")
         end_out_of_reach: Probability = Setting(
-            0.0, description="probability that an episode ends where no gripper reaches the puck any more"
+            0.0, description="probability that an episode ends as soon as no gripper can reach the puck"
         )
         max_steps: int = Setting(200, ge=1, le=100_000, description="control steps per episode")
 
@@ -128,7 +126,7 @@ class Slide(CubeTask):
     observation = Layout((*FIELDS, Field("rest", 2, "m", kind="point")))
     object_class = Puck
     uses_gripper = False
-    protective_stop = False  # a policy that learns presses on the floor; `force_penalty` teaches it not to
+    protective_stop = False  # a learning policy presses on the floor; `force_penalty` teaches it not to
     fingers = 0.5  # the puck lies between them and goes where they go
     camera = Camera(target=(0.8, 0.0, 0.2), distance=3.4, yaw=22.0, pitch=-25.0)
     achieved_goal = Layout((Field("rest", 2, "m", kind="point"), Field("lies", 1, kind="scalar")))
@@ -150,7 +148,7 @@ class Slide(CubeTask):
         k = int(abs(ways[1]) > abs(ways[0]))
         side = copysign(1.0, ways[k])
         self.ahead = (0.0, side) if k else (side, 0.0)
-        """Unit vector along the axis of the world that leads from the base to the workspace."""
+        """Unit vector along the world's axis from the base to the workspace."""
         depth, width = (box.high[one] - box.low[one] for one in (k, 1 - k))
         near = [centre[k] - side * max(depth / 2 - ROOM_BEHIND, 0.0), centre[k]]
         across = [centre[1 - k] - min(START_WIDTH, width) / 2, centre[1 - k] + min(START_WIDTH, width) / 2]
@@ -168,7 +166,7 @@ class Slide(CubeTask):
                 hint="a smaller friction or a larger robot.tool_step lets it slide further",
             )
         self.sight = 1.5 * self.furthest
-        """Largest coordinate in m that is observed. Networks scale what they see by its spread; a puck slides 20 m."""
+        """Largest observed coordinate in m. Networks scale inputs by their spread, and a puck can slide 20 m."""
         span = 3 * self.sight
         dense = settings.reward == "dense"
         self.goal_rule = Rest(settings.threshold, dense=dense, span=span, reward_share=settings.reward_share)
@@ -216,7 +214,7 @@ class Slide(CubeTask):
         return self._ends and not self._robot.workspace.contains((x, y, max(z, self._robot.workspace.low[2])), BEYOND)
 
     def rest(self, position: list[float] | Vector, velocity: list[float] | Vector) -> tuple[float, float]:
-        """Where a puck that is left alone comes to rest, in m. Coordinates end at `sight`."""
+        """Place of rest of an untouched puck, in m. Coordinates end at `sight`."""
         seconds = hypot(velocity[0], velocity[1]) / (2 * self.deceleration)
         return self._seen(position[0] + velocity[0] * seconds), self._seen(position[1] + velocity[1] * seconds)
 
@@ -251,13 +249,13 @@ def reach(robot: RobotView) -> float:
 
 
 NUDGE = 0.1
-"""m/s with which the fingers come to the puck: one that is hit harder leaves them again."""
+"""Speed in m/s of the fingers when they touch the puck: after a harder hit it leaves them again."""
 SPEED_UP = 0.12
 """Largest commanded speed of the tool relative to the puck, in m/s."""
 GAIN = 0.35
 """Share of a missing velocity that is added to the commanded one in each control step."""
 ENOUGH = 0.99
-"""Share of the speed that the puck needs at which it is let go."""
+"""Share of the speed that the puck needs at which it is released."""
 
 
 class SlideExpert(PushExpert):

@@ -19,22 +19,22 @@ from .point_goal import Places, sample_apart
 from .settings import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
-"""Number of cubes -> smallest distance in m between their sides at the start: room for the fingers, or for the hand if
-two stand on each other."""
+"""Number of cubes -> smallest distance in m between their sides at the start: room for the fingers, or for the hand
+with a stack of two."""
 ABOVE = 0.05
 """Largest height in m above its place of a cube that starts there in the gripper."""
 NEAR_SCALE = 0.02
-"""m: errors are observed as tanh(error / scale), too, in which a network sees millimetres."""
+"""Scale in m of additional observations tanh(error / scale), in which a network sees millimetres."""
 
 
 class Stack(CarryTask):
     """What to do: put the second cube on the first, with `height: 3` the third on the second, and let go.
 
     What is randomised: the cubes, uniformly in a square of .3 m in the middle of the workspace, their sides at least
-    6 cm apart, with `height: 3` 10 cm. With `height: 3` the second lies on the first already with probability
-    `start_stacked`. The next cube begins in the gripper up to 5 cm above its place with probability `start_above`, of
-    the other episodes in the gripper where it lies with `start_grasped`, of the others with the open gripper around or
-    above it with `start_near`: parameters that training may draw, tests never do.
+    6 cm apart, with `height: 3` 10 cm. Stages that training may sample and tests never do: with `height: 3` and
+    `start_stacked` the second cube already lies on the first. The next cube, each among the episodes without an earlier
+    stage: `start_above` (in the gripper up to 5 cm above its place), `start_grasped` (in the gripper where it lies),
+    `start_near` (with the open gripper around or above it).
 
     Observation: of each cube, from the lowest: cube_1_position (3, m), cube_1_rotation (6, two columns of its matrix),
     cube_1_velocity (3, m/s), cube_1_angular_velocity (3, rad/s), cube_1_from_tool (3, m); then cube_2_from_cube_1
@@ -42,10 +42,10 @@ class Stack(CarryTask):
     Action: the robot's, with the gripper.
     Goals: achieved, cube_2_from_cube_1 (3, m), with `height: 3` also cube_3_from_cube_2, and whether the robot touches
     no cube and all are at rest (1); desired, an edge above one another and 1.
-    Reward: sparse -1 until the cubes are stacked, then 0; of three -.5 from when two are; less where a force exceeds
-    that of `force_penalty`.
-    What counts as success: each cube within `threshold` of its place on the one below, all let go and at rest. A cube
-    that lies next to the other or is held on it does not count.
+    Reward: sparse -1 until the cubes are stacked, then 0; with three cubes -.5 after the first two are stacked; less if
+    a force exceeds that of `force_penalty`.
+    What counts as success: each cube is within `threshold` of its place on the cube below, and all are released and at
+    rest. A cube that lies next to the other one or is held on it does not count.
     Termination: never; the episode is truncated after `max_steps`.
     """
 
@@ -62,7 +62,7 @@ class Stack(CarryTask):
 
     settings: Settings
     drawn: Settings
-    protective_stop = False  # a policy that learns presses on the cubes; `force_penalty` teaches it not to
+    protective_stop = False  # a learning policy presses on the cubes; `force_penalty` teaches it not to
     colours = (CUBE_COLOUR, (0.16, 0.5, 0.8, 1.0), (0.85, 0.75, 0.2, 1.0))
     distance_measure = Measure("miss", "m", "smaller", "distance of the furthest cube from its place at the end")
 
@@ -86,9 +86,9 @@ class Stack(CarryTask):
         self.ground = ground(robot.workspace, "box", settings.object_size / 2)
         if settings.threshold >= settings.object_size / 2:
             raise UsageError(
-                f"within {settings.threshold:g} m of its place a cube does not stand on the other",
+                f"a cube {settings.threshold:g} m off its place does not stand on the other one",
                 setting="task.threshold",
-                hint=f"set less than half an edge, {settings.object_size / 2:g} m",
+                hint=f"set less than {settings.object_size / 2:g} m, half an edge",
             )
         if (top := settings.object_size * (settings.height + 0.5) + HOVER_HEIGHT) > robot.workspace.high[2]:
             raise UsageError(
@@ -118,7 +118,7 @@ class Stack(CarryTask):
 
     @property
     def offsets(self) -> list[Vector]:
-        """The position of each cube but the lowest from the one below, in m."""
+        """The position of each cube relative to the cube below, in m, without the lowest one."""
         return [_difference(upper.position, lower.position) for lower, upper in pairwise(self.cubes)]
 
     def observe(self) -> list[float]:
@@ -142,11 +142,11 @@ def _difference(one: list[float] | Vector, other: list[float] | Vector) -> Vecto
 
 
 PLACED = 0.005
-"""m off its place, along each axis, at which a cube is let go."""
+"""Distance in m from its place, along each axis, at which a cube is released."""
 
 
 class StackExpert(Expert):
-    """Carries the lowest cube that is not on its place there, opens, rises, and goes on with the next."""
+    """Carries the lowest misplaced cube to its place, opens, rises, and continues with the next one."""
 
     def __init__(self, robot: RobotView, task: Stack) -> None:
         self._robot, self._task = robot, task
@@ -161,7 +161,7 @@ class StackExpert(Expert):
         self._carrier.begin(self._task.cubes[min(level, self._task.number - 1)])
 
     def _next(self) -> int:
-        """How many cubes stand on their places."""
+        """Number of cubes on their places."""
         task = self._task
         for level, (x, y, z) in enumerate(task.offsets, 1):
             held = self._robot.pads_touching(task.cubes[level].body)

@@ -18,14 +18,14 @@ from .point_goal import GOAL_COLOUR, sample_position
 from .throw_planner import FLIGHT_STEPS, RUN_UP, Flight, ThrowPlanner, flight_time
 
 FLOOR_CONTACT = 0.002
-"""m above the floor below which a corner of the cube counts as touching it."""
+"""Height in m above the floor below which a corner of the cube counts as touching it."""
 TRAIL_COLOUR = (0.86, 0.3, 0.06, 1.0)
 BOUNCE_HEIGHT = 0.08
-"""m above the floor: a control step after a landing no corner of the cube is higher."""
+"""Largest height in m of a corner of the cube above the floor, a control step after a landing."""
 
 
 class Landing(GoalRule):
-    """Success where a thrown object lands nearer than `threshold` to the target, in m; landing ends the episode.
+    """Success if a thrown object lands nearer than `threshold` to the target, in m. Landing ends the episode.
 
     `achieved` (..., 3) is the object's position on the floor (2) in m and a status: 0 in the hand or in the air, 1
     landed after a release, -1 a failure for every target, such as an object put on the floor. `desired` (..., 2) is
@@ -33,7 +33,7 @@ class Landing(GoalRule):
 
     Sparse reward: 1 for a success, else 0; a cost per step would make dropping the object at once profitable. Dense
     reward: 1 - tanh(2 d) for landing after a release, d in m from the target; else 0. A failure for every target
-    costs `failure_cost`. A miss is worth 0 as well, so nothing else would keep a policy off the floor.
+    costs `failure_cost`. A miss also gives 0, so only this cost keeps a policy off the floor.
     """
 
     def __init__(self, threshold: float, *, dense: bool, failure_cost: float) -> None:
@@ -66,48 +66,46 @@ class Throw(CubeTask):
     """What to do: throw the cube, which starts in the gripper, so that it comes down on the target.
 
     What is randomised: the tool's start, within `start_range` of the home position along each axis, and the target: on
-    the floor in front of the robot within `sector` degrees to either side, beyond the arm's reach by at least
+    the floor in front of the robot within `sector` degrees to both sides, beyond the arm's reach by at least
     `threshold`, and from there at most the fraction `share` of the way to the furthest throw.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), landing_if_released (2, m) and time_of_flight (1, s):
-    where and when the centre of the cube would come down if it left the hand now, in free fall without spin.
+    place and time at which the centre of the cube would land if it left the hand now, in free fall without spin.
     Action: the robot's joint changes and the gripper.
     Goals: achieved, the cube's position on the floor (2, m), after the landing that of its first contact, and a status
     (0 in hand or air, 1 landed after a release, -1 on the floor without one, or the arm touched something else, or its
     protective stop acted); desired, the target (2, m).
-    Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1]; `failure_cost` is taken off where the
-    status is -1, see `Landing`.
+    Reward: at landing; sparse 1 within the threshold, else 0; dense in [0, 1]; minus `failure_cost` if the status is
+    -1, see `Landing`.
     What counts as success: the cube's first contact with the floor after its release lies within `threshold` of the
     target. Flying over the target or carrying the cube there does not count. Until then the arm touches neither the
     floor nor itself, and its protective stop does not act.
     Termination: when the cube touches the floor, thrown or put down, or the arm does; truncated after `max_steps`.
-    With probability `end_at_release` already when the cube leaves the hand, at the landing that free flight computes;
-    as a parameter of domain randomization in training alone. The computed landing is that of an undisturbed flight: a
-    hand that touches the cube again moves the true one by up to a decimetre.
+    With probability `end_at_release` already when the cube leaves the hand, with the computed landing of a free flight;
+    as a parameter of domain randomization only in training. If the hand touches the cube again, the true landing
+    differs by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of joints and tool, see `ThrowPlanner`. Horizontal distances
     from the robot's axis: panda .95 and 1.13 m, ur5 1.06 and 1.21 m, iiwa 1.08 and 1.73 m. Such throws turn the
-    gripper, so `control: joint` is needed, the default of the robots for this task: pointing down, within the
-    workspace, no throw lands beyond .81 (panda), .86 (ur5) and .79 m (iiwa), within the arm's reach.
+    gripper, so they need `control: joint`, the default for this task. With the tool pointing down, within the
+    workspace, no throw lands beyond .81 (panda), .86 (ur5) and .79 m (iiwa), which the arm can reach.
     """
 
     class Settings(CubeSettings):
         reward: Literal["sparse", "dense"] = Setting("sparse", description="at landing: 1 or 0, or by the distance")
         failure_cost: float = Setting(
-            0.0, ge=0, le=1, description="of a cube put down, and of an arm that touches something or stops"
+            0.0, ge=0, le=1, description="cost of putting the cube down, and of an arm that touches something or stops"
         )
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
-        share: float = Setting(
-            0.9, gt=0, le=1, description="how far targets lie from the nearest one towards the furthest throw"
-        )
-        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to either side of straight ahead, degrees")
+        share: float = Setting(0.9, gt=0, le=1, description="share of the possible distances in which targets lie")
+        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
         start_range: Annotated[float, Drawn("m", 0.0, 0.5)] = Setting(
-            0.05, ge=0, le=0.5, description="of the tool about home along each axis, within the workspace, m"
+            0.05, ge=0, le=0.5, description="of the tool from home along each axis, in the workspace, m"
         )
         end_at_release: Probability = Setting(
-            0.0, description="probability that an episode ends at the release, its landing computed"
+            0.0, description="probability that an episode ends at the release and its landing is computed"
         )
 
     settings: Throw.Settings
@@ -148,7 +146,7 @@ class Throw(CubeTask):
         self._targets = targets.moved((*planner.axis, 0.0))
 
     def _starts(self) -> Box:
-        """Where the tool starts."""
+        """Box of start positions of the tool."""
         home, workspace, most = self._robot.home, self._robot.workspace, self.drawn.start_range
         ranges = [
             (max(at - most, low), min(at + most, high))
@@ -221,7 +219,7 @@ class Throw(CubeTask):
         return [*values, x + vx * seconds, y + vy * seconds, seconds]
 
     def _rise(self, speed: float) -> float:
-        """The speed upwards in m/s with which free fall follows the simulated one of a cube that rises at `speed`.
+        """The upward speed in m/s at which ideal free fall equals the simulated fall of a cube that rises at `speed`.
 
         PyBullet changes speeds before positions (semi-implicit Euler): after k physics steps of dt a body is at
         z + k dt v + k (k + 1) g dt^2 / 2. Without this a throw lands 5 mm nearer than computed.
@@ -246,38 +244,38 @@ class Throw(CubeTask):
 
 
 RAMP_SECONDS = 0.32
-"""Seconds in which the throw accelerates to its speed: the heaviest arm has the torque for it."""
+"""Time in s in which the throw accelerates to its speed. The heaviest arm has the torque for it."""
 DECELERATION = 3.0
-"""rad/s2 with which joints come to rest at the start of the throw."""
+"""Deceleration in rad/s2 with which joints come to rest at the start of the throw."""
 SETTLED_LIMITS = 0.05, 0.3
-"""rad and rad/s within which the arm is at rest at the start of the throw."""
+"""Largest error in rad and speed in rad/s at which the arm counts as at rest at the start of the throw."""
 APPROACH_PATIENCE = 40
-"""Control steps after which the throw starts from the current position."""
+"""Number of control steps after which the throw starts from the current position."""
 POSITION_GAIN = 0.1
-"""Fraction of its position error that a joint makes up for in a control step."""
+"""Fraction of its position error that a joint corrects in a control step."""
 VELOCITY_GAIN = 0.15
-"""Fraction of a joint's velocity error by which its next steps are lengthened. Velocities follow actions a step or two
-later: larger values of this and of `SPEED_GAIN` make the throw unstable."""
+"""Fraction of a joint's velocity error that its next steps add. Velocities follow actions a step or two later: larger
+values of this and of `SPEED_GAIN` make the throw unstable."""
 SPEED_GAIN = 0.6
-"""Fraction of the missing distance by which the throw is sped up in a control step."""
+"""Fraction of the missing distance by which the throw gets faster in a control step."""
 LARGEST_SPEED_UP = 1.5
-"""Largest factor by which the throw is sped up or slowed down."""
+"""Largest factor by which the throw gets faster or slower."""
 LOOK_AHEAD = 0.25
-"""Seconds ahead in which the furthest landing is searched."""
+"""Time ahead in s in which the furthest landing is searched."""
 LARGEST_CORRECTION = 0.8
 """Largest correction of a joint's change, as a fraction of its change at full speed."""
 OPENING_DELAY = 0.01
-"""Seconds from the beginning of the opening until the pads let go."""
+"""Time in s from the beginning of the opening until the pads release."""
 
 
 class ThrowExpert(Expert):
-    """Moves to the start of the throw, then each joint at its constant speed; opens where the landing is nearest."""
+    """Moves to the start of the throw, then turns each joint at constant speed; opens where the landing is nearest."""
 
     def __init__(self, robot: RobotView, task: Throw) -> None:
         self._robot = robot
         self._task = task
         self._delay = OPENING_DELAY + robot.gripper_delay
-        """Seconds from the command to open until the pads let go."""
+        """Time in s from the command to open until the pads release."""
         self.reset()
 
     def reset(self) -> None:

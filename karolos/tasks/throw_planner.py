@@ -1,4 +1,4 @@
-"""The free flight of a cube, and plans of throws by kinematics alone."""
+"""The free flight of a cube, and plans of throws by kinematics."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from ..simulation.interface import GRAVITY, RobotView
 LONGEST_FLIGHT = 3.0
 """Longest flight in s; no robot throws higher than for 2 s."""
 FLIGHT_STEPS = 100
-"""Steps in which the floor is looked for along a whole flight."""
+"""Number of steps in which the contact with the floor is searched along a whole flight."""
 
 
 def flight_time(height: Array | float, rise: Array | float, gravity: float) -> Array:
-    """Seconds (...) until free fall from `height` (...) m at `rise` (...) m/s upwards comes to height 0.
+    """Seconds (...) until free fall from `height` (...) m at `rise` (...) m/s upwards reaches height 0.
 
     The larger root of height + rise t + gravity t^2 / 2 = 0, gravity in m/s2 along z; at most `LONGEST_FLIGHT`, and 0
     for a height below 0.
     """
-    gravity = min(gravity, -1e-6)  # without gravity only what sinks comes down
+    gravity = min(gravity, -1e-6)  # without gravity only a sinking body comes down
     above = np.maximum(height, 0.0)
     seconds = (rise + np.sqrt(rise * rise - 2 * gravity * above)) / -gravity
     return np.where(above > 0, np.minimum(seconds, LONGEST_FLIGHT), 0.0)
@@ -40,11 +40,11 @@ class Flight(NamedTuple):
     axes: tuple[Vector, Vector, Vector]
     """Unit vectors along its edges."""
     angular_velocity: Vector
-    """rad/s. It is constant: a cube's inertia is the same about every axis."""
+    """Angular velocity in rad/s. It is constant: a cube's inertia is the same about every axis."""
     half: float
     """Half an edge in m."""
     gravity: float
-    """m/s2 along z; negative pulls down."""
+    """Gravity in m/s2 along z; negative pulls down."""
 
     def lowest(self, seconds: float) -> float:
         """Height of the lowest corner above the floor after that time, in m."""
@@ -85,22 +85,22 @@ RUN_UP = 0.4
 FOLLOW_THROUGH = 0.15
 """Seconds at constant speed after the release, in which the gripper opens and the arm brakes."""
 AT_FULL_SPEED = (-0.2, -0.1, 0.0, 0.06)
-"""Seconds from the release at which the speed of the tool is checked: earlier the arm accelerates, later it brakes."""
+"""Times in s from the release at which the tool's speed is checked: earlier the arm accelerates, later it brakes."""
 PLANNED_TOOL_SPEED = 0.92
 """Fraction of the tool's largest speed that a plan uses. The rest is for corrections."""
 FLOOR_CLEARANCE = 0.12
 """Smallest height in m of the tool and of the swinging joints above the floor."""
 BASE_CLEARANCE = 0.2
 """Smallest distance in m of the tool from the axis of the base joint while it is lower than .2 m above the first
-swinging joint: there the arm's base stands."""
+swinging joint, because the arm's base is there."""
 UNFOLDED_SHARE = 0.4
 """Smallest distance of the tool from the first swinging joint as a fraction of the largest, so that the hand does not
-meet the upper arm."""
+touch the upper arm."""
 GRID_POINTS = 9
-"""Points of the search along each joint. The grid then closes in on the best point."""
+"""Number of points of the search along each joint. The grid then shrinks around the best point."""
 GRID_ROUNDS = 5
 FIRST_THROWS, NEXT_THROWS, KEPT_THROWS, SEARCH_ROUNDS = 3000, 300, 30, 16
-"""Throws tried at first, tried in each round, and kept, and rounds of the search for the furthest throw."""
+"""Search for the furthest throw: number of first throws, throws per round, kept throws, and rounds."""
 SLOWEST_SHARE = 0.3
 """Slowest throw as a fraction of the full speed."""
 
@@ -125,12 +125,12 @@ def landing_distance(position: Array, velocity: Array, height: float) -> Array:
 
 
 class ThrowPlanner:
-    """Plans throws by kinematics alone: the furthest throw of a robot, and from it the throw at any nearer target.
+    """Plans throws by kinematics: the furthest throw of a robot, and from it the throw at any nearer target.
 
     A throw turns the joints whose axes are horizontal and parallel ("swinging joints"), so that the tool moves in one
-    vertical plane, each at a constant speed within its limit, and the tool within its own; the base joint turns that
-    plane towards the target. The release is where the landing distance has its maximum along the motion: there an early
-    or late opening matters least. Slower motions throw less far.
+    vertical plane. Each joint turns at a constant speed within its limit, and the tool stays within its own limit. The
+    base joint turns that plane towards the target. The release is at the maximum of the landing distance along the
+    motion: there an early or late opening matters least. Slower motions throw less far.
 
     Args:
         height: of the object's centre above the floor when it has landed, in m.
@@ -185,7 +185,7 @@ class ThrowPlanner:
         horizontal = np.flatnonzero(np.abs(axes[:, 2]) < 0.001)
         if vertical.size and horizontal.size:
             normal = axes[horizontal[0]]
-            ahead = np.cross((0.0, 0.0, 1.0), normal)  # turning about the normal lifts what is ahead
+            ahead = np.cross((0.0, 0.0, 1.0), normal)  # turning about the normal lifts everything ahead
             self._base = int(vertical[0])
             x, y = origins[self._base, :2].tolist()
             self.axis = x, y
@@ -231,7 +231,7 @@ class ThrowPlanner:
     def _search(self, objective: Callable[[Array], Array], low: Array, high: Array) -> tuple[Array, float]:
         """Joint positions (k,) of the maximum of `objective` between `low` and `high`, and the maximum.
 
-        A grid search that closes in on the best point.
+        A grid search that shrinks around the best point.
         """
         best, maximum = (low + high) / 2, -np.inf
         begin, end = low, high
@@ -255,7 +255,7 @@ class ThrowPlanner:
         for signs in product((-1.0, 1.0), repeat=self._swinging.size):
             low, high = np.minimum(signs, 0.0), np.maximum(signs, 0.0)
             shares = np.clip(draws.uniform(1.6 * low, 1.6 * high, (FIRST_THROWS, low.size)), low, high)
-            # where the joints have room for that speed, or for a fraction of it
+            # the joints have room there for that speed, or for a fraction of it
             slowed = self._speed * shares * draws.uniform(0.0, 1.0, (FIRST_THROWS, 1))
             begin = self._low + np.maximum(slowed * RUN_UP, np.maximum(-slowed * FOLLOW_THROUGH, 0.0))
             end = self._high + np.minimum(slowed * RUN_UP, np.minimum(-slowed * FOLLOW_THROUGH, 0.0))
@@ -279,15 +279,15 @@ class ThrowPlanner:
         return best[1], best[2]
 
     def _within_tool_speed(self, release: Array, velocities: Array) -> Array:
-        """Joint velocities (m, k), slowed down where the tool would be too fast in the throw."""
-        for _ in range(2 if np.isfinite(self._tool_speed) else 0):  # slower, the arm is elsewhere
+        """Joint velocities (m, k), reduced if the tool would be too fast in the throw."""
+        for _ in range(2 if np.isfinite(self._tool_speed) else 0):  # at a lower speed the arm is elsewhere
             ways = release[:, None] + np.multiply.outer(np.array(AT_FULL_SPEED), velocities).swapaxes(0, 1)
             speeds = np.abs(self._velocity(self._points(ways), velocities[:, None]))
             velocities = velocities * np.minimum(1.0, self._tool_speed / np.maximum(speeds.max(1), 1e-9))[:, None]
         return velocities
 
     def _landing_if_possible(self, release: Array, velocities: Array) -> Array:
-        """Landing distances (m,) of throws (m, k); -inf where joints leave their range or something is in the way."""
+        """Landing distances (m,) of throws (m, k); -inf if joints leave their range or something is in the way."""
         begin, end = release - velocities * RUN_UP, release + velocities * FOLLOW_THROUGH
         possible = ((np.minimum(begin, end) >= self._low) & (np.maximum(begin, end) <= self._high)).all(1)
         possible[possible] = self._collision_free(release[possible], velocities[possible])
@@ -296,7 +296,7 @@ class ThrowPlanner:
         return np.where(possible, distances, -np.inf)
 
     def _collision_free(self, release: Array, velocities: Array) -> Array:
-        """Whether throws (m, k) stay clear of the floor and the arm itself, on the way to their start too."""
+        """Whether throws (m, k) touch neither floor nor arm, including the way to their start."""
         start, home = release - velocities * RUN_UP, self._home[self._swinging]
         middle, end = release - velocities * RUN_UP / 2, release + velocities * FOLLOW_THROUGH
         free = np.ones(len(release), np.bool_)

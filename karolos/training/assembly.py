@@ -30,14 +30,14 @@ REPLAY_SETTINGS = {
     "replay_ratio": "remove it; agent.epochs says how often the agent learns from each transition",
     "warmup_episodes": "remove it; there is no warm-up",
 }
-"""Settings of `training` that an on-policy agent does not use, and what to do instead."""
+"""Settings of `training` that an on-policy agent does not use -> hint."""
 
 TOGETHER = ("robot.", "task.", "environment.", "agent.", "buffer.")
-"""Beginnings of settings that have to fit together."""
+"""Prefixes of settings that must fit together."""
 
 
 def make_orchestrator(spec: Spec, *, randomize: bool) -> Orchestrator:
-    """The spec's environments, distributed over processes and threads as the spec says."""
+    """The spec's environments, spread over processes and threads as the spec says."""
     recipe = spec.recipe(randomize=randomize)
     orchestrator: Orchestrator = spec.orchestrator.make(partial(build_environment, recipe))
     return orchestrator
@@ -53,26 +53,27 @@ def make_agent(spec: Spec, signature: Signature, seeds: SeedTree) -> Agent:
 
 
 def import_libraries() -> None:
-    """Import what takes long and every run needs: torch."""
+    """Import torch, which takes long and which every run needs."""
     from ..agents import device  # noqa: F401, PLC0415
 
 
 def use_threads(spec: Spec) -> None:
-    """Compute with the spec's number of threads in this process: sums in another order could change an episode."""
+    """Compute with the spec's number of threads in this process. Sums in another order could change an episode."""
     from ..agents import device  # noqa: PLC0415  (imports torch)
 
     device.use_threads(spec.training.threads or 1)
 
 
 def learner(spec: Spec) -> dict[str, str]:
-    """How the spec's agent learns on this machine: `device`, and `precision` of hidden layers if it is a setting."""
+    """Device of the spec's agent on this machine, and `precision` of its hidden layers if this is a setting."""
     from ..agents.device import resolve_device, uses_bfloat16  # noqa: PLC0415  (imports torch)
 
     device = resolve_device(spec.training.device)
     precision = getattr(spec.agent.settings, "precision", None)
     if precision is None:
         return {"device": device}
-    return {"device": device, "precision": "bfloat16" if uses_bfloat16(precision, device) else "float32"}
+    rounds = uses_bfloat16(precision, device) and not getattr(spec.agent.settings, "per_joint", False)
+    return {"device": device, "precision": "bfloat16" if rounds else "float32"}
 
 
 def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environments: int, discount: float) -> Buffer:
@@ -86,11 +87,12 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     """Build the spec's parts once, so that errors show before anything runs.
 
     Makes the first steps of an episode, which also compile the code that workers load. Builds agent and buffer, and
-    discards them. Returns a note if a run may make no gradient update, or if a sweep's objective may say nothing.
+    discards them. Returns a note if a run may make no gradient update, or if a sweep's objective may be the same in all
+    trials.
 
     Args:
         spec: to check.
-        jobs: runs of it at the same time, which share the machine's memory.
+        jobs: number of its runs at the same time, which share the machine's memory.
 
     Raises:
         UsageError: two parts do not fit together, or need too much memory; names the setting and where it was set.
@@ -131,7 +133,7 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
     amounts, size = spec.training, environments_of(spec)
     if (amounts.at_least or 0) > size:
         raise UsageError(
-            f"a batch of {amounts.at_least} environments is never ready, because there are {size}",
+            f"{amounts.at_least} environments are never ready at the same time, because there are only {size}",
             setting="training.minimum_batch",
             hint="lower it, or use more environments",
         )
@@ -150,9 +152,9 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
         if share is not None and not 0 < round(share * amounts.batch_size) < amounts.batch_size:
             count = round(share * amounts.batch_size)
             raise UsageError(
-                f"{count} of {amounts.batch_size} transitions of a batch would be demonstrated",
+                f"{count} of {amounts.batch_size} transitions of a batch would be demonstrations",
                 setting="demonstrations.share",
-                hint="between 1 and all but 1; or null: as often as other transitions",
+                hint="let it be at least 1 and leave at least 1; or set null: sampled like other transitions",
             )
         return
     if amounts.mode == "async":
@@ -172,7 +174,7 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
 
 
 def _doubt(spec: Spec, agent: Agent, buffer: Buffer, signature: Signature) -> str | None:
-    """Why a run may make no gradient update, or all trials of a sweep may have the same objective; None: no reason."""
+    """Why a run may make no gradient update, or why all trials of a sweep may have the same objective; else None."""
     amounts, size = spec.training, environments_of(spec)
     budget = f"training.steps is {amounts.steps}"
     if agent.on_policy:
@@ -199,7 +201,7 @@ def _is_set(spec: Spec, name: str) -> bool:
 
 @contextmanager
 def located(spec: Spec) -> Iterator[None]:
-    """Add to an error that names a setting or a part's plugin where that was set: file:line:column, or the override."""
+    """Add to an error the place of its setting or plugin: file:line:column, or the override."""
     try:
         yield
     except KarolosError as error:
@@ -213,15 +215,15 @@ def located(spec: Spec) -> Iterator[None]:
 
 
 def _origin(spec: Spec, path: str | None) -> str | None:
-    """Where the setting `path`, or the first one below it, or its part was set. None for default parts."""
+    """Place at which the setting `path`, or the first one below it, or its part was set. None for default parts."""
     if path is None:
         return None
-    part = path.partition(".")[0]  # which holds a setting that was not set
+    part = path.partition(".")[0]  # the part holds a setting that was not set
     near = [key for one in (path, part) for key in spec.origins if key == one or key.startswith(f"{one}.")]
     place = next((spec.origins[key] for key in near if spec.origins[key] != "default"), None)
     if place is None or place.startswith("override "):
         return place
-    changed = {origin for key, origin in spec.origins.items() if key.startswith(TOGETHER)}  # what it may contradict
+    changed = {origin for key, origin in spec.origins.items() if key.startswith(TOGETHER)}  # may be contradicted
     overrides = sorted(origin for origin in changed if origin.startswith("override "))
     return f"{place} with {' and '.join(overrides)}" if overrides else place
 
@@ -229,7 +231,7 @@ def _origin(spec: Spec, path: str | None) -> str | None:
 FLOAT_BYTES = 4
 """Size of a float32."""
 WORKER_BYTES = 30 << 20
-"""Memory of a worker process that it does not share with the others."""
+"""Private memory of a worker process in bytes."""
 
 
 def environments_of(spec: Spec) -> int:
@@ -277,7 +279,7 @@ def _needs(spec: Spec, signature: Signature) -> Iterator[tuple[int, str, str]]:
 
     row, settings = transition_layout(signature).size * FLOAT_BYTES, spec.buffer.settings
     if isinstance(capacity := getattr(settings, "capacity", None), int):
-        stored = max(capacity, 2 * min(capacity, training.steps))  # a checkpoint copies what is stored
+        stored = max(capacity, 2 * min(capacity, training.steps))  # a checkpoint copies the stored transitions
         yield stored * row, f"a buffer of {capacity:,} transitions", "buffer.capacity"
         yield training.batch_size * row, batch, "training.batch_size"
     if isinstance(rollout := getattr(settings, "rollout", None), int):
@@ -299,14 +301,14 @@ def _size(count: int) -> str:
 STEPS = 3
 """Steps of the first episode, with random actions."""
 EPISODES = 16
-"""Episodes that begin if randomization samples worlds. With at most eight worlds, hardly one is left out."""
+"""Number of episodes that begin if randomization samples worlds. With up to eight worlds, nearly all are tried."""
 
 
 def try_environments(spec: Spec) -> Signature:
     """Make the first steps of an episode, and return the signature of the environments.
 
-    Several episodes and one of a test begin if randomization samples worlds. Environments of others are tried in a
-    worker process, as in a run: they may end their process, or hang.
+    If randomization samples worlds, several training episodes and one test episode begin. Foreign environments are
+    tried in a worker process, as in a run: they may end their process, or hang.
 
     Raises:
         KarolosError: an environment cannot be made, fails, or diverges at once; names a setting or a plugin.
@@ -341,7 +343,7 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
     except KarolosError as error:
         if error.setting is not None:
             raise
-        # the number of the worker and of the environment says nothing: there is one of each
+        # the numbers of worker and environment are left out: there is only one of each
         place = re.sub("^(worker|environment|building)[^:]*(: )?", "", error.where or "")
         key = None if error.plugin else "environment.name" if spec.task is None else "task.name"
         what = ": ".join(filter(None, (place, error.what)))

@@ -1,4 +1,4 @@
-"""Collecting: lets the environments play training episodes, counts and records them, and stores the transitions."""
+"""Collecting: plays training episodes, counts and records them, and stores the transitions."""
 
 from __future__ import annotations
 
@@ -44,25 +44,25 @@ class Episode:
     diverged: bool
     """Whether the simulation diverged, which ended the episode."""
     parameters: tuple[float, ...]
-    """The values that domain randomization drew, laid out by `signature.parameters`."""
+    """The sampled values of domain randomization, in the layout `signature.parameters`."""
 
 
 IDLE = -2
-"""Instead of a number of updates: the environment has no command."""
+"""Marks an environment without a command, in place of a number of updates."""
 REPLAYS = 3
-"""Workers that may be lost in a row while the same episodes are played again."""
+"""Largest number of workers lost in a row while the same episodes are played again."""
 
 
 class Episodes:
     """The episodes that the environments of an orchestrator play one after the other, each with its own seed.
 
     The seed and the actions so far determine a running episode. Its state therefore needs nothing else, and a lost
-    worker changes nothing: its episodes are played again up to where they were.
+    worker changes nothing: its episodes are played again up to the same step.
 
     Args:
         orchestrator: the environments.
         seeds: the run's; episode k of environment i has the seed at ("environment", i, k).
-        replay: whether episodes of lost workers are played again, which needs lockstep. If not, they fail.
+        replay: whether episodes of lost workers are played again, which needs lockstep. Otherwise they fail.
     """
 
     def __init__(self, orchestrator: Orchestrator, seeds: SeedTree, *, replay: bool = True) -> None:
@@ -81,7 +81,7 @@ class Episodes:
         self._updates = np.full(size, IDLE)
         """`updates` of each environment's command without an answer; -1 for a reset, or IDLE."""
         self.failures: tuple[Failure, ...] = ()
-        """Failures since the caller last emptied this, those of episodes that were played again included."""
+        """Failures since the caller last emptied this list, including those of episodes that were played again."""
 
     def begin(self, environments: np.ndarray) -> None:
         """Reset these environments, each with the seed of its next episode. Does not wait."""
@@ -110,7 +110,7 @@ class Episodes:
         received = self._counted(self._orchestrator.receive(at_least))
         if not (self._replay and any(failure.lost for failure in received.failures)):
             return received
-        # Play the episodes of lost workers again, and add the answers to the commands that they had.
+        # Play the episodes of lost workers again, and add the answers to their pending commands.
         updates, steps = self._updates.copy(), self._steps + (self._updates >= 0)
         latest = Step.zeros(self._orchestrator.signature, self._orchestrator.size)
         failures = self._replay_lost(received.failures, steps, latest)
@@ -124,7 +124,7 @@ class Episodes:
         """Play the episodes that these failures lost with a worker again; returns the failures that remain.
 
         Args:
-            failures: of environments whose episodes may go on.
+            failures: of environments whose episodes may continue.
             steps: of the episode of each environment.
             latest: is overwritten by the last step of each of these environments.
         """
@@ -192,7 +192,7 @@ class Episodes:
         }
 
     def load_state(self, state: State, latest: Step) -> None:
-        """Play the running episodes again up to where they were, and write their latest steps into `latest`.
+        """Play the running episodes again up to the same step, and write their latest steps into `latest`.
 
         Raises:
             UsageError: the state has another number of environments or of action columns.
@@ -248,7 +248,7 @@ class Collector:
         """Whether the environments have begun their first episodes."""
         self.steps = self.episodes = 0
         self.strayed: tuple[int, ...] = ()
-        """Environments whose episodes, played again by `load_state`, gave another observation than they had."""
+        """Environments whose episodes, played again by `load_state`, gave a different observation."""
         self._running = Episodes(orchestrator, seeds, replay=at_least is None)
         self._latest = Step.zeros(signature, size)
         """The latest step of every environment."""
@@ -320,7 +320,7 @@ class Collector:
         return {"policy_lag_mean": float(lags.mean()), "policy_lag_max": int(lags.max())} if lags.size else {}
 
     def _receive(self, at_least: int | None) -> int:
-        """Wait until this many environments have answered since answers were last stored; returns how many have."""
+        """Wait until this number of environments has answered since answers were last stored. Returns the number."""
         count = sum(received.environment.size + received.failed.size for received in self._received)
         received = self._running.receive(None if at_least is None else max(at_least - count, 0))
         if received.environment.size or received.failures:
@@ -406,7 +406,7 @@ class Collector:
         }
 
     def load_state(self, state: State) -> None:
-        """Play the running episodes again up to where they were. Raises as `Episodes.load_state`."""
+        """Play the running episodes again up to the same step. Raises as `Episodes.load_state`."""
         if state["running"] is not None:
             self._running.load_state(state["running"], self._latest)
             self.started = True

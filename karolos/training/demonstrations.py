@@ -1,4 +1,4 @@
-"""Demonstrations: noisy episodes of a task's scripted expert, which also show how to recover, or recorded ones."""
+"""Demonstrations: noisy episodes of a task's scripted expert, which also show recoveries, or recorded episodes."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ class Demonstrations:
     """Episodes to learn from."""
 
     episodes: tuple[Transitions, ...]
-    """Each with its steps along the leading axis; `environment` is 0."""
+    """Episodes, each with its steps along the leading axis; `environment` is 0."""
     success_end: float
     """Fraction of the episodes whose goal held at the last step."""
     seconds: float
-    """Wall-clock seconds that collecting took."""
+    """Wall-clock seconds of collecting."""
 
     @property
     def steps(self) -> int:
@@ -39,16 +39,16 @@ def collect_demonstrations(
     seeds: SeedTree,
     on_step: Callable[[int], object] = lambda _: None,
 ) -> Demonstrations:
-    """Read recorded episodes, or play the expert's in a separate environment.
+    """Read recorded episodes, or play episodes of the expert in a separate environment.
 
     The expert sees the effect of its noisy actions before it acts again. An episode whose simulation diverged is
     replaced by another one.
 
     Args:
-        recipe: of the environment, randomization included.
+        recipe: of the environment, with randomization.
         settings: number of episodes and size of the noise.
         seeds: the run's.
-        on_step: is called with the number of collected episodes before each step; an error that it raises ends this.
+        on_step: is called with the number of collected episodes before each step. An error that it raises is passed on.
 
     Raises:
         UsageError: the environment has no expert, or the recording does not fit.

@@ -3,15 +3,15 @@
 One round: choose an action for every environment that waits for one, send the actions, learn from what the buffer
 already holds while the environments step, receive the steps, store the transitions.
 
-In lockstep a round waits for all environments. The order and the amounts depend on counts only, never on timing.
-Therefore a run is the same bit for bit, however busy the machine is. An on-policy agent learns at the end of the round
-that completes its rollout, because its next action depends on the update.
+In lockstep a round waits for all environments. Order and amounts depend only on counts, never on timing. Therefore a
+run is the same bit for bit, even on a busy machine. An on-policy agent learns at the end of the round that completes
+its rollout, because its next action depends on the update.
 
-In async mode (`at_least`) a round waits for that many answers only. The other environments stay under way, resets
-included. Learning pauses as soon as enough environments have answered, provided that the updates still owed are no
-more than one step of every environment makes due. So no environment waits for the slowest one, and the replay ratio is
-kept. Every episode still has the seed of its environment and index. The order of transitions and updates, and
-therefore the run, depends on timing.
+In async mode (`at_least`) a round waits only for that number of answers. The other environments continue their steps
+and resets. Learning pauses as soon as enough environments have answered, if the pending updates are at most those that
+one step of every environment makes due. Thus no environment waits for the slowest one, and the replay ratio is kept.
+Every episode still has the seed of its environment and index. The order of transitions and updates, and therefore the
+run, depends on timing.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Progress:
     finished: tuple[Episode, ...] = ()
     """Episodes that ended in this round."""
     failures: tuple[Failure, ...] = ()
-    """Environments that failed in this round. Their episodes are cut; in lockstep those of a lost worker go on."""
+    """Environments that failed in this round. Their episodes are cut; in lockstep those of a lost worker continue."""
 
 
 @dataclass
@@ -53,7 +53,7 @@ class Training:
     """Trains one agent: `rounds()` is the loop. The caller may stop after any round, and continue from `state()`.
 
     Args:
-        amounts: how much is collected and learned.
+        amounts: of collecting and learning.
         seeds: the run's.
         at_least: answers that a round waits for; None waits for all environments (lockstep). An on-policy agent needs
             lockstep.
@@ -115,7 +115,7 @@ class Training:
 
     @property
     def over(self) -> bool:
-        """Whether `amounts.steps` environment steps are taken; without any, whether pre-training is over."""
+        """Whether `amounts.steps` environment steps are done; if it is 0, whether pre-training is over."""
         pretrained = self.collector.started or self.updates >= self.pretraining_updates
         return self.steps >= self.amounts.steps and pretrained
 
@@ -147,20 +147,20 @@ class Training:
                 raise RunError(
                     f"{name} is {value} after {self.updates} updates ({self.steps} steps)",
                     setting="agent",
-                    hint="lower agent.learning_rate, or check the rewards; the last checkpoint is still there",
+                    hint="lower agent.learning_rate, or check the rewards; the last checkpoint is kept",
                 )
         return means
 
     def state(self) -> State:
         """Everything that `load_state` needs to continue after any round, bit for bit in lockstep.
 
-        Agent and buffer have states of their own. A running episode is stored as its seed and its actions, and is
-        played again. In async mode the answers under way are not stored: their actions are chosen again.
+        Agent and buffer have states of their own. A running episode is stored as its seed and actions, and is played
+        again. In async mode pending answers are not stored: their actions are chosen again.
         """
         return {"seconds": self.seconds, **self.collector.state(), **self.learner.state()}
 
     def load_state(self, state: State) -> None:
-        """Continue where the state was taken, with loaded agent and buffer. Raises as `Episodes.load_state`."""
+        """Continue from the state, with loaded agent and buffer. Raises as `Episodes.load_state`."""
         self.collector.load_state(state)
         self.learner.load_state(state)
         self.seconds = float(state["seconds"])
@@ -170,7 +170,7 @@ PRETRAINING_UPDATES_PER_ROUND = 64
 
 
 class Means:
-    """Running means of named scalars. It adds tensors as they are and reads their numbers in `read` only."""
+    """Running means of named scalars. It adds tensors without reading them; only `read` reads their numbers."""
 
     def __init__(self) -> None:
         self._sums: dict[str, Any] = {}
@@ -199,7 +199,7 @@ class Learner:
         agent: makes the updates.
         buffer: gives the batches and gets the priorities.
         amounts: the batch size and the replay ratio.
-        environments: number of environments, which bounds the updates that may wait in async mode.
+        environments: number of environments, which limits the updates that may wait in async mode.
     """
 
     def __init__(self, agent: Agent[Any], buffer: Buffer[Any], amounts: TrainingSettings, environments: int) -> None:

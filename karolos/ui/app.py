@@ -1,4 +1,4 @@
-"""The application: which address shows what. Nothing is computed here: the store answers, `karolos.report` draws."""
+"""The application: addresses and their pages. Nothing is computed here: the store answers, `karolos.report` draws."""
 
 from __future__ import annotations
 
@@ -52,16 +52,16 @@ from .rows import SIGNS, experiment_rows, sparkline
 
 HERE = Path(__file__).parent
 EXPERIMENTS, MOST_COMPARED, LISTED = 50, 12, 12
-"""Experiments of a page and of a comparison; failures that are listed."""
+"""Largest number of experiments on a page and in a comparison, and of listed failures."""
 MOST_POSTED = 1 << 20
-"""Bytes of a form: more than the longest note has."""
+"""Largest size of a form in bytes: more than the longest note."""
 SHOWN = ("run", "state", "experiment", "tags", "note", "versions")
-"""Facts of a run that do not stand in the list of facts on its page."""
+"""Facts of a run that the list of facts on its page leaves out."""
 KEPT = 8
-"""Drawn comparisons and runs that are kept."""
+"""Number of drawn comparisons and runs that are kept."""
 REPORTS, WRITTEN = (SWEEPS, "suites", "transfers"), ("report.html", "figures/*.svg")
-"""Folders in the runs folder whose folders hold reports, and what is shown of these. Each has its page at its path, so
-that a report's links to run folders lead to the pages of the runs."""
+"""Folders in the runs folder that hold folders of reports, and the shown files. A report has its page at its path, so
+that its links to run folders lead to the pages of the runs."""
 
 
 class Application:
@@ -74,7 +74,7 @@ class Application:
         self._drawn: OrderedDict[object, tuple[threading.Lock, list[Any]]] = OrderedDict()
 
     def asgi(self) -> Starlette:
-        """What a server calls."""
+        """Entry point for a server."""
         routes = [
             Route("/", self.experiments),
             Route("/compare", self.compared),
@@ -93,7 +93,7 @@ class Application:
         return Starlette(routes=routes, exception_handlers=handlers)
 
     def experiments(self, request: Request) -> Response:
-        """Experiments with their seeds, the newest first; the page asks again while it is open."""
+        """Experiments with their seeds, newest first. An open page is updated."""
         asked = request.query_params
         where, order = asked.get("where", "").strip(), asked.get("order", "created")
         trials, first = "trials" in asked, _whole(asked.get("from"))
@@ -141,7 +141,7 @@ class Application:
         return self._page("compare.html", comparison=comparison, shown=shown, hashes=hashes)
 
     def run(self, request: Request) -> Response:
-        """One run: how it learns, its tests, failures, films, settings and events."""
+        """One run: learning curve, tests, failures, films, settings and events."""
         summary = self._found(request)
         path = Path(summary.folder)
         tested = _digest(summary.state, *(_changed(path / name) for name in ("tests.jsonl", "final.jsonl")))
@@ -226,21 +226,21 @@ class Application:
         return _back(request, "films")
 
     def film_file(self, request: Request) -> Response:
-        """A film that was made."""
+        """A finished film."""
         path = self._folder(request).path / films.FILES.get(request.path_params["kind"], "none")
         if not path.is_file():
             raise NoSuchRunError(f"there is no {path.name} yet")
         return FileResponse(path, media_type="video/mp4")
 
     def reports(self, kind: str, _: Request) -> Response:
-        """Sweeps, suites or matrices of transfers, with what they wrote."""
+        """Sweeps, suites or matrices of transfers, with their reports."""
         found = [(sweep, sweep.state()) for sweep in sweeps(self._runs)[0]] if kind == SWEEPS else []
         return self._page("reports.html", kind=kind, written=_written(self._runs / kind), sweeps=found)
 
     def report(self, kind: str, request: Request) -> Response:
-        """A page or figure that a sweep, suite or matrix wrote, which may run no script; the page with a way back."""
+        """A page or figure of a sweep, suite or matrix, without scripts; a page gets a link back."""
         name, file = request.path_params["name"], request.path_params["file"]
-        if file not in _written(self._runs / kind).get(name, ()):  # looked for by no path: a name may be none
+        if file not in _written(self._runs / kind).get(name, ()):  # not as a path: it may be invalid
             raise NoSuchRunError("there is no such report", hint=f"the page of {kind} lists them")
         text = (files.below(self._runs / kind, name) / file).read_text("utf-8", "replace")
         text = text.replace("<body>", f'<body>\n<p><a href="/{kind}">{kind.title()}</a></p>', 1)
@@ -249,7 +249,7 @@ class Application:
         return Response(text, media_type=media, headers={"Content-Security-Policy": policy})
 
     def folders(self, request: Request) -> Response:
-        """How the run folders and the database differ: the lines of `karolos db check`."""
+        """Differences between run folders and database: the lines of `karolos db check`."""
         found = list(check(self._store, self._runs)) if "check" in request.query_params else None
         return self._page("folders.html", found=found, folder=self._runs, database=self._store.name)
 
@@ -258,7 +258,7 @@ class Application:
         return self._page("error.html", 404 if isinstance(error, NoSuchRunError) else 400, problem=str(error))
 
     def _refused(self, request: Request, error: Exception) -> Response:
-        """What is answered to an address that is unknown, or asked for in another way than it can be."""
+        """The answer to an unknown address, or to a wrong method."""
         assert isinstance(error, HTTPException)  # the application registers it for these
         problem = f"{short(request.url.path, 80)}: {error.detail.lower()}"
         return self._page("error.html", error.status_code, problem=problem)
@@ -276,7 +276,7 @@ class Application:
         return parts.show(shown, contenders)
 
     def _once(self, key: object, draw: Callable[[], Any]) -> Any:
-        """What was drawn for this key, or is drawn now. Meanwhile others draw what has other keys."""
+        """The drawing for this key, made now if it is missing. Other keys can be drawn at the same time."""
         with self._keeping:
             drawing, drawn = self._drawn.setdefault(key, (threading.Lock(), []))
             if len(self._drawn) > KEPT:
@@ -297,7 +297,7 @@ class Application:
         return RunFolder.open(self._found(request).folder)
 
     def _opened(self, path: str) -> tuple[RunFolder | None, RunRecord | None, tuple[str, ...]]:
-        """A run folder with its record; or what is wrong with it."""
+        """A run folder with its record, or the error that prevents reading it."""
         try:
             folder = RunFolder.open(path)
             return folder, folder.record(), ()
@@ -305,7 +305,7 @@ class Application:
             return None, None, (str(error),)
 
     def _films(self, folder: RunFolder | None, failures: Sequence[int] | None) -> dict[str, tuple[bool, str]]:
-        """What a film can show -> whether it exists, and what is going on with it."""
+        """Kind of film -> whether it exists, and the state of its making."""
         if folder is None:
             return {}
         paths = {kind: folder.path / name for kind, name in films.FILES.items() if failures or kind != "failures"}
@@ -313,7 +313,7 @@ class Application:
 
 
 def _settings(spec: Mapping[str, Any], about: Mapping[str, Any]) -> list[tuple[str, str, str]]:
-    """Each setting with its value and whether the command line, the spec or a default gave it."""
+    """Each setting with its value and its origin: command line, spec or default."""
     changed = dict(flatten(about.get("changed") or {}))
     given = [word.partition("=")[0] for word in about.get("command") or () if "=" in word and not word.startswith("-")]
 
@@ -332,7 +332,7 @@ def _curve(name: str, tests: Iterable[Evaluation]) -> tuple[str, ...]:
 
 
 def _episodes(result: Evaluation) -> tuple[Table, list[int]]:
-    """One row per episode of a test, and which episodes end without success."""
+    """One row per episode of a test, and the episodes that end without success."""
     numbers = range(result.episodes)
     columns: dict[str, list[str]] = {"episode": [str(place + 1) for place in numbers]}
     if result.has_success:
@@ -356,7 +356,7 @@ def _event(event: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def _left(_: Request, __: Exception) -> Response:
-    """Nobody hears this answer: the client left while it sent a form."""
+    """An answer that nobody receives: the client left while it sent a form."""
     return Response(status_code=400)
 
 
@@ -370,12 +370,12 @@ def _written(root: Path) -> dict[str, list[str]]:
 
 
 def _back(request: Request, part: str) -> Response:
-    """To a part of the run's page."""
+    """Redirect to a part of the run's page."""
     return RedirectResponse(f"/runs/{quote(request.path_params['run'])}#{part}", 303)
 
 
 async def _form(request: Request) -> dict[str, str]:
-    """The fields of a form that was sent."""
+    """The fields of a submitted form."""
     body = b""
     async for part in request.stream():
         body += part
@@ -390,7 +390,7 @@ def _whole(text: str | None) -> int:
 
 
 def _changed(path: Path) -> tuple[int, int]:
-    """Time and size of a file, which change when it is written."""
+    """Time and size of a file. They change when it is written."""
     try:
         found = path.stat()
     except OSError:

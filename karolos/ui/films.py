@@ -1,4 +1,4 @@
-"""Films of a run's policy, made on request, one at a time and in a process of their own.
+"""Films of a run's policy, made on request, one at a time, in a separate process.
 
 python -m karolos.ui.films RUN_FOLDER FILE [failures]   what that process does
 """
@@ -20,7 +20,7 @@ from ..records.checkpoint import names, read_meta
 from ..report.video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
-"""What a film shows -> its file in the run folder."""
+"""Kind of film -> its file in the run folder."""
 EPISODES, WIDTH, HEIGHT = 3, 640, 480
 
 
@@ -34,7 +34,7 @@ class Films:
         self._problems: dict[Path, str] = {}
 
     def begin(self, folder: RunFolder, kind: str) -> None:
-        """Start to make a film. Raises UsageError while another one is made."""
+        """Start to make a film. Raises UsageError while another film is being made."""
         with self._lock:
             self._look()
             if self._process is not None:
@@ -52,7 +52,7 @@ class Films:
             )
 
     def state(self, path: Path) -> str:
-        """`making`, or why a film could not be made, or nothing."""
+        """`making`, the reason why a film could not be made, or an empty text."""
         with self._lock:
             self._look()
             return "making" if self._process is not None and path == self._path else self._problems.get(path, "")
@@ -73,7 +73,7 @@ class Films:
 
 
 def make(folder: RunFolder, path: Path, kind: str) -> None:
-    """Film test episodes of the best policy, in TensorBoard, too, or episodes in which the last one fails.
+    """Film test episodes of the best policy (also for TensorBoard), or episodes in which the last policy fails.
 
     Raises as `load_player`, `write_video` and `add_film`.
     """

@@ -1,4 +1,4 @@
-"""The rows of the list of experiments: seeds, success with its interval, curve and cost, from the index alone."""
+"""The rows of the list of experiments: seeds, success with its interval, curve and cost, only from the index."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..store import Store
 from ..store.experiments import CurvePoint, curves, steps_asked
 
 WIDTH, HEIGHT, EDGE = 120.0, 30.0, 2.0
-"""Size of a sparkline, and the room around its lines, in pixels."""
+"""Size of a sparkline, and the margin around its lines, in pixels."""
 MOST_LINES = 12
-"""Seeds in a sparkline; more cannot be told apart."""
+"""Largest number of seeds in a sparkline; more cannot be distinguished."""
 SIGNS = {"finished": "✓", "running": "▶", "created": "…", "stopped": "‖", "failed": "✕", "lost": "?"}
-"""State -> a sign, so that colours alone need not tell states apart."""
+"""State -> a sign, so that states can be distinguished without colours."""
 
 
 @dataclass(frozen=True)
@@ -50,10 +50,10 @@ class ExperimentRow:
     lines: tuple[str, ...]
     """A curve over training for each seed, as points of an SVG polyline."""
     steps: str
-    """Mean over the runs; of runs that train, with the steps that are asked for."""
+    """Mean steps over the runs; for training runs with the requested steps."""
     seconds: str
     updated: str
-    """UTC."""
+    """Time in UTC."""
 
 
 def experiment_rows(store: Store, experiments: Iterable[Sequence[RunSummary]]) -> list[ExperimentRow]:

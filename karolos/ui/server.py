@@ -1,4 +1,4 @@
-"""Serves the pages until Ctrl-C, and lets in who may ask: names of this machine, a token beyond loopback, own forms."""
+"""Serves the pages until Ctrl-C, for requests to this machine's names (with a token beyond loopback) and own forms."""
 
 from __future__ import annotations
 
@@ -30,21 +30,21 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "Cache-Control": "no-cache",
 }
-"""Headers of every answer that has no others. Matplotlib's figures have styles inside them."""
+"""Default headers of answers. Matplotlib's figures contain inline styles."""
 
 
 class RequestGuard:
-    """Refuses requests of strangers before the application sees them.
+    """Refuses foreign requests before the application sees them.
 
-    * A request names a host that is ours: a page whose name was bound to this address later reads nothing.
-    * With a token, a request has it in its address once, and then in a cookie.
-    * A form comes from our own page.
+    * A request must name one of our hosts: a foreign page whose name was later bound to this address reads nothing.
+    * If there is a token, a request has it once in its address, and later in a cookie.
+    * A form must come from our own page.
 
     Args:
         app: the application.
         hosts: names that requests may give. If there are others than those of loopback, addresses are let through as
             well: no name of a stranger is one.
-        token: None lets everybody in who reaches the port.
+        token: None: everybody who reaches the port is accepted.
         cookie: name of the cookie; cookies are shared by all ports of a machine.
     """
 
@@ -67,7 +67,7 @@ class RequestGuard:
         await answer(scope, receive, with_headers)
 
     def _refusal(self, request: Request) -> Response | None:
-        """What is answered instead of the page; None for a request that is ours."""
+        """The answer to a refused request; None for an accepted one."""
         if not _is_ours(request.headers.get("host", ""), self._hosts):
             return PlainTextResponse("this page is not known by that name; use the address that karolos printed", 421)
         if self._token is not None:
@@ -111,12 +111,12 @@ def serve(
         runs: the folder.
         store: its index.
         host: name or address to listen on. Beyond loopback there is always a token.
-        port: 0 takes a free one.
-        token: asked for; None or "" is a random one beyond loopback, and none on it.
+        port: 0: any free port.
+        token: required token; None or "": a random one beyond loopback, none on loopback.
         ready: gets the address for a browser once the page can be opened.
 
     Raises:
-        MachineError: host and port cannot be listened on.
+        MachineError: it is impossible to listen on host and port.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family)

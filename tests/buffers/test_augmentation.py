@@ -116,10 +116,31 @@ def test_what_is_lifted_moves_along_z_as_a_whole() -> None:
         assert np.abs(before - one + (0, 0, lift)).max(1).min() < 1e-6
 
 
+def test_a_twist_turns_tool_and_goal_by_one_angle_about_their_own_z() -> None:
+    signature = pair("panda", "reach_pose").signature
+    rows = StoredTransitions(transition_layout(signature), 200)
+    rows.table[:] = np.random.default_rng(0).normal(size=rows.table.shape)
+    before, settings = rows.table.copy(), Augmentation.Settings(mirror=False, shift=0, twist=3.1)
+    Augmentation(settings, signature).apply(rows, np.random.default_rng(1))
+    fields = {"observation": "tool_rotation", "next_observation": "tool_rotation", "desired_goal": "goal_rotation"}
+    columns = []
+    for part, name in fields.items():
+        place = getattr(signature, part.removeprefix("next_")).slice(name)
+        columns.append(np.arange(before.shape[1])[transition_layout(signature).slice(part)][place])
+    plain, turned = (table[:, columns].reshape(200, 3, 2, 3) for table in (before, rows.table))
+    assert (np.abs(turned - plain).max((1, 2, 3)) > 0.1).mean() > 0.8
+    z_before, z_after = (np.cross(frames[:, :, 0], frames[:, :, 1]) for frames in (plain, turned))
+    np.testing.assert_allclose(z_after, z_before, atol=1e-5)
+    between_before, between_after = (np.einsum("nijk,nljk->nil", frames, frames) for frames in (plain, turned))
+    np.testing.assert_allclose(between_after, between_before, atol=1e-4)
+    others = np.setdiff1d(np.arange(before.shape[1]), columns)
+    np.testing.assert_array_equal(rows.table[:, others], before[:, others])
+
+
 @pytest.mark.parametrize(
     ("how", "said"),
     [
-        ({"arm": {"control": "joint"}}, "what becomes of joint_positions in a mirror or elsewhere is not known"),
+        ({"arm": {"control": "joint"}}, "it is unknown how joint_positions changes if the scene is mirrored or moved"),
         ({"environment": {"actions": "discrete"}}, "discrete actions have no mirror image"),
     ],
 )

@@ -174,7 +174,7 @@ def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: 
     assert "after 3 steps" in lines["task.max_steps=3",]
     assert lines["robot=ur5",] != lines[()]
     for wrong, told in (
-        (("agent.discount=0.9",), "is about training, not about the test"),
+        (("agent.discount=0.9",), "changes the training, not the test"),
         (("robot.control=joint",), "the policy was trained with other observations, actions or goals"),
     ):
         code, _, err = call(app, "panda_reach", *wrong, *film)

@@ -13,7 +13,7 @@ from support.processes import Here
 
 from karolos.plugins import robot_check, robot_score
 from karolos.plugins.contracts import cases
-from karolos.records.shipped import shipped_names
+from karolos.records.shipped import FOLDER, shipped_names
 
 
 @pytest.fixture
@@ -52,19 +52,27 @@ def test_a_score_names_success_and_causes_and_writes_a_page(arm: Path, tmp_path:
     assert (folder / "ur5_reach.mp4").stat().st_size > 1000
     assert "assumed of the file" in (folder / "score.html").read_text()
     assert json.loads((folder / "score.json").read_text())["policies"] == [row]
+    code, out, err = call(app, "score", "small", "--list", "--json")
+    assert code == 0, err
+    [kept] = [json.loads(line) for line in out.splitlines()]
+    assert (kept["policy"], kept["robot"], kept["gripper"]) == ("ur5_reach", "small", "robotiq_2f85")
+    assert (kept["success_end"], kept["causes"], kept["own"]["episodes"]) == (row["success"], row["causes"], 2)
+    assert "small" in call(app, "score", "--list")[1]
+    assert "small" not in call(app, "score", "panda", "--list")[1]
+    assert call(app, "score")[0] == 2
 
 
 def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm: Path) -> None:
     text = arm.read_text().replace('"prismatic"', '"revolute"')
     arm.write_text(text)
-    found = robot_score.score_policy("ur5_pick", ["robot.name=urdf", f"robot.file={arm}"], 1)
+    found = robot_score.score_policy(FOLDER / "ur5_pick", ["robot.name=urdf", f"robot.file={arm}"], 1)
     assert found.success is None
     assert found.refused is not None
     assert "this robot has no gripper" in found.refused
 
 
 def test_policies_are_those_of_a_robot_or_one(arm: Path) -> None:
-    assert robot_score.policies_of("iiwa") == [name for name in shipped_names() if name.startswith("iiwa_")]
+    assert robot_score.policies_of("iiwa") == [FOLDER / name for name in shipped_names() if name.startswith("iiwa_")]
     code, _, err = call(app, "score", str(arm), "--policies", "ur6")
     assert code == 2
     assert "did you mean 'ur5'" in err

@@ -83,7 +83,7 @@ def test_a_group_has_one_run_per_seed_and_counts_those_that_never_reach_95(runs:
         (("--watch", "--json"), "--watch takes no --json"),
         (("--watch", "--trash"), "--watch takes no --trash"),
         (("--trash", "--json", "--columns", "run"), "--trash takes no --columns"),
-        (("--group", "--columns", "run"), "--group has columns of its own"),
+        (("--group", "--columns", "run"), "--group cannot be combined with --columns"),
     ],
 )
 def test_options_of_a_list_that_would_be_ignored_are_refused(

@@ -114,7 +114,7 @@ BROKEN = {
     Wandering: "readings_are_whole_and_new: it moves by",
     Repeating: "readings_are_whole_and_new: 1 new readings",
     Infinite: "readings_are_whole_and_new: not a number",
-    Blind: "readings_are_whole_and_new: not measured: no camera or fixture tells object_position",
+    Blind: "readings_are_whole_and_new: not measured: no camera or fixture gives object_position",
     Waiting: "readings_are_whole_and_new: `read` takes",
     Early: "the_clock_goes_on: `wait` does not return",
     Unaware: "a_lost_connection_is_a_fault: a lost connection is not noticed",

@@ -100,7 +100,7 @@ def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
     [
         (
             {"task.object_size": part("distributions", "uniform", low=0.03, high=0.05)},
-            r"randomization\.task\.object_size: .* cannot be drawn by 'uniform'; list values",
+            r"randomization\.task\.object_size: .* cannot be sampled by 'uniform'; list values",
         ),
         ({"robot.finger_opening": values(0, 2)}, r"robot\.finger_opening cannot be 2: .* less than or equal to 1"),
         (

@@ -105,7 +105,7 @@ def test_a_command_that_gives_up_leaves_the_jobs_alone_and_odd_answers_of_squeue
 
 def test_output_of_sbatch_without_a_number_is_shown(tmp_path: Path, slurm: Path) -> None:
     (tmp_path / "banner").write_text("Welcome to the cluster")
-    with pytest.raises(MachineError, match="sbatch gave no number of a job, but 'Welcome to the cluster'"):
+    with pytest.raises(MachineError, match="sbatch did not print the number of a job, but 'Welcome to the cluster'"):
         Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs")
 
 

@@ -64,7 +64,7 @@ def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: Matrix) -> None:
 
 def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: Matrix) -> None:
     runs = undisturbed.folder.parents[1]
-    with pytest.raises(UsageError, match=r"matrix line has begun: 4 of 4 sources are finished; --resume continues"):
+    with pytest.raises(UsageError, match=r"matrix line exists: 4 of 4 sources are finished; --resume continues"):
         run_matrix(runs)
     again, _, started = run_matrix(runs, resume=True)
     assert started == []
@@ -171,6 +171,9 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
             ["transfer.variants.slow.agent.discount=0.5"],
             ["variants.slow.agent.discount: a variant cannot change agent.discount, only robot, task"],
         ),
+        (["transfer.sources=[fats]"], ["fats is no variant, which are fast, slow"]),
+        (["transfer.sources=[]"], ["needs a source"]),
+        (["transfer.references=[slow]", "transfer.modes=[zero_shot, fine_tune]"], ["references that no mode uses"]),
         (["transfer.fine_tune.testing.episodes=5"], ["fine_tune cannot change testing.episodes"]),
     ],
 )
@@ -225,3 +228,28 @@ def test_joint_control_is_refused_in_one_line_that_says_what_could_be_done() -> 
     spec = spec_from_dict({**LINE, **changes, "transfer": {"robots": ["panda", "ur5"]}})
     with pytest.raises(UsageError, match=r"policy of panda cannot act on ur5: .*set robot\.control=cartesian"):
         Matrix(spec).check()
+
+
+def arms(file: str) -> Matrix:
+    variants = {"ur5": {"robot.name": "ur5"}, "other": {"robot.name": "urdf", "robot.file": file}}
+    variants["iiwa"] = {"robot.name": "iiwa"}
+    part = {"robot": {"name": "ur5", "control": "cartesian"}, "task": "reach", "environment": "robot_task"}
+    return Matrix(spec_from_dict({**LINE, **part, "transfer": {"variants": variants, "sources": ["ur5"]}}))
+
+
+def test_a_target_that_cannot_be_used_is_named_and_the_others_go_on(tmp_path: Path) -> None:
+    matrix = arms(str(tmp_path / "none.urdf"))
+    matrix.check()
+    assert matrix.pairs == [("ur5", "iiwa")]
+    assert matrix.refused == {
+        "other": "there is no such file; name a URDF or an MJCF file; in a spec relative to it, "
+        "in an override to the current folder"
+    }
+
+
+def test_a_matrix_without_a_usable_target_says_why() -> None:
+    matrix = arms("installed:nothing/none.urdf")
+    matrix.variants.pop("iiwa")
+    matrix.pairs = [("ur5", "other")]
+    with pytest.raises(UsageError, match=r"no target can be used: there is no such file; pip install nothing"):
+        matrix.check()

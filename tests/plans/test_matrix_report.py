@@ -22,6 +22,7 @@ from karolos.plans.matrix_report import (
     matrix_table,
     metric_map,
     notes,
+    over_targets,
     transfer_figures,
     transfer_report,
     variants_table,
@@ -139,3 +140,32 @@ def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: Transfe
     rows = [label.get_text() for label in drawing.axes.get_yticklabels()]
     assert rows == ["fast", "slow", "expert", "random"]
     assert len(variants_table(report).rows) == 2
+
+
+def test_sources_and_references_are_trained_and_every_other_variant_counts_once(
+    tmp_path_factory: pytest.TempPathFactory,
+) -> None:
+    overrides = [
+        "transfer.sources=[fast]",
+        "transfer.references=[slower]",
+        "transfer.variants.slower={environment.speed: 0.1}",
+    ]
+    overrides += ["transfer.modes=[zero_shot, scratch]", "transfer.fine_tune=null", "training.steps=40"]
+    runs, outcome, started = run_matrix(tmp_path_factory.mktemp("runs"), *overrides)
+    tests = ["(line-fast-to-slow)"] * 2 + ["(line-fast-to-slower)"] * 2
+    assert (outcome.exit_code, started) == (0, ["line-fast"] * 2 + ["line-slower"] * 2 + tests)
+    found = replace(
+        transfer_report(runs),
+        variants=tuple(
+            replace(one, refused="too heavy") if one.label == "slow" else one for one in transfer_report(runs).variants
+        ),
+    )
+    [table] = over_targets(found)
+    zero = [np.mean([test.success_end for test in runs.zero_shot["fast", to].values()]) for to in ("slow", "slower")]
+    row, own, floor = table.rows
+    assert (row[0], row[1], row[5]) == ("fast", "2", "slow: too heavy")
+    assert float(row[2].split()[0]) == pytest.approx(np.mean(zero), abs=1e-3)
+    assert (own[:2], floor[:2]) == (("own training", "2"), ("random actions", "3"))
+    assert matrix_table(found, "zero_shot").columns == ["from", "to fast", "to slow", "to slower"]
+    assert "Over arms" in matrix_page(found, *transfer_figures(found))
+    assert found.rows()[1]["refused"] == "too heavy"

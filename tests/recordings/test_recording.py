@@ -92,7 +92,7 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
     assert "| robot | panda |" in card
     assert not (out / ".recording").exists()
     code, _, said = call(app, *COMMAND, str(out))
-    assert (code, "there is something already" in said) == (2, True)
+    assert (code, "the folder is not empty" in said) == (2, True)
     begun = tmp_path / "begun"
     call(app, *COMMAND, str(begun), "--format", "karolos")
     shutil.copytree(begun, tmp_path / "other" / ".recording")

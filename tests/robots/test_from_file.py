@@ -176,6 +176,20 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
 
 
+def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm: Path) -> None:
+    plain, off, on = (
+        spec_in(arm.parent, f"{{name: urdf, file: small.urdf{given}}}").hash()
+        for given in ("", ", repair: false", ", repair: true")
+    )
+    assert plain == off != on
+    arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"'))
+    with pytest.raises(PluginError, match="effort"):
+        robot_of(file=str(arm))
+    repaired = robot_of(file=str(arm), repair=True)
+    assert min(repaired.limits.effort) > 0
+    assert any(note.startswith("repaired: its effort is 0") for note in proposal_of(repaired.settings).notes)
+
+
 def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None:
     arm.write_text(re.sub(r'effort="\d+"', 'effort="9000"', arm.read_text(), count=len(LINKS)))
     ways = []

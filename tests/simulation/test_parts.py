@@ -309,7 +309,10 @@ def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path: Path
     [
         (CLASSES.replace('class="pin" p', 'class="pen" p'), "xml:8: geom: there is no class 'pen'"),
         (URDF.replace('lower="0" upper=".2"', 'lower="0"'), "joint slide: limits must satisfy lower < upper"),
-        (URDF.replace("<dynamics", '<mimic joint="x"/><dynamics'), "joint slide: it mimics x, which only a motor does"),
+        (
+            URDF.replace("<dynamics", '<mimic joint="x"/><dynamics'),
+            "joint slide: it mimics x, which is possible only with a motor",
+        ),
         (MJCF.replace("<option", "<tendon/><option"), "xml:2: tendon: <tendon> in <mujoco> is not known to karolos"),
         (MJCF.replace('mass=".5"', 'mass="1e999"'), "xml:5: inertial: its mass is '1e999'"),
         (MJCF.replace("range=", "ref="), "xml:4: joint slide: ref is not known"),

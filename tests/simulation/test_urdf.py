@@ -90,7 +90,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
     ("text", "message"),
     [
         ("<robot", "not an XML file"),
-        ('<!DOCTYPE r [\n<!ENTITY e "x">]><robot/>', "urdf:2: the entity 'e'"),
+        ('<!DOCTYPE r [\n<!ENTITY e "x">]><robot/>', "urdf:2: it declares the entity 'e'"),
         ("<house/>", "not a URDF"),
         (
             '<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>',

@@ -166,7 +166,7 @@ def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way
 
 
 def test_a_cube_wider_than_the_gripper_is_refused():
-    with pytest.raises(KarolosError, match="does not go into the gripper"):
+    with pytest.raises(KarolosError, match="does not fit into the gripper"):
         made("pick_place", object_size=0.15)
 
 

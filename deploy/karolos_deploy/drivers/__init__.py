@@ -14,19 +14,19 @@ GROUP = "karolos_deploy.drivers"
 
 
 TCP_TOLERANCE = 0.01
-"""m by which the controller's tool centre point may be elsewhere than that of the bundle."""
+"""Largest distance in m between the tool centre points of controller and bundle."""
 
 
 class Driver:
     """The contract of a driver.
 
-    The executor calls `connect`, then `begin` for each episode, then in each cycle `read`, `send` and `wait`; after a
-    fault or at the end `stop`, and `close`. A driver raises `Fault` where the robot or the connection fails, and sends
-    nothing after `stop`. `karolos_deploy.contracts` checks all this.
+    The executor calls `connect`, then `begin` for each episode, then in each cycle `read`, `send` and `wait`. After a
+    fault or at the end it calls `stop` and `close`. A driver raises `Fault` if the robot or the connection fails, and
+    sends nothing after `stop`. `karolos_deploy.contracts` checks all this.
 
     Args:
-        bundle: what will be run.
-        settings: texts by name, from `--set NAME=VALUE`; a driver refuses names that it does not know.
+        bundle: the bundle to run.
+        settings: texts by name, from `--set NAME=VALUE`. A driver refuses unknown names.
     """
 
     settings: ClassVar[Mapping[str, str]] = {}
@@ -34,7 +34,7 @@ class Driver:
     modes: ClassVar[tuple[str, ...]] = ("joint", "cartesian", "pose", "impedance")
     """Control modes that the driver can follow."""
     acceleration_share: ClassVar[float] = 1.0
-    """Fraction of the joints' accelerations that set points use. What is left is for following them."""
+    """Fraction of the joints' accelerations that set points use. The rest is for following them."""
     rate: float
     """Set points per second; the executor sets it."""
 
@@ -57,7 +57,7 @@ class Driver:
             raise BundleError(f"the setting {name} is {self.values[name]!r}; give a number") from None
 
     def now(self) -> float:
-        """The time in s by which the executor works."""
+        """The time of the executor's clock in s."""
         return time.perf_counter()
 
     def wait(self, until: float) -> None:
@@ -66,19 +66,19 @@ class Driver:
             time.sleep(left)
 
     def connect(self) -> dict[str, Any]:
-        """Connect; what is known of the robot: `name`, `gripper`, `joints` (their number), `payload` in kg."""
+        """Connect. Returns known facts of the robot: `name`, `gripper`, `joints` (their number), `payload` in kg."""
         raise NotImplementedError
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
-        """Make ready for an episode, in which set points come if `move`; its goal, if the driver knows one."""
+        """Prepare for an episode, with set points if `move`. Returns its goal, if the driver knows one."""
         raise NotImplementedError
 
     def read(self) -> Reading | None:
-        """The newest reading; None if there is none since the last call. Does not wait."""
+        """The newest reading; None if there is no new one since the last call. Does not wait."""
         raise NotImplementedError
 
     def send(self, point: SetPoint) -> None:
-        """Have the robot follow a set point from now on."""
+        """Let the robot follow a set point from now on."""
         raise NotImplementedError
 
     def stop(self) -> None:

@@ -1,7 +1,7 @@
 """The driver `franka`: arms of Franka Robotics through franky-control. It was never tried on hardware.
 
-It was tried against franky-sim. franky's own loop of 1 kHz makes joint speeds of what it is told, within the limits of
-speed, acceleration and jerk. If nothing more is told, the robot stops after `WATCHDOG`.
+It was tried against franky-sim. franky's own loop of 1 kHz follows the commanded joint speeds, within the limits of
+speed, acceleration and jerk. Without a new command the robot stops after `WATCHDOG`.
 """
 
 from __future__ import annotations
@@ -19,15 +19,15 @@ from . import TCP_TOLERANCE, Driver
 from .sensors import Sensors
 
 STATES = {"UserStopped": "emergency stop", "Reflex": "reflex", "Guiding": "guided by hand", "Other": "not ready"}
-"""Modes of the robot in which it follows nothing -> states."""
+"""Modes of the robot in which it does not follow commands -> states."""
 SPEED_SHARE = 0.99
-"""Fraction of the largest speed of each joint that is asked for."""
+"""Largest commanded fraction of the largest speed of each joint."""
 CATCH_UP = 0.05
-"""Time constant in s with which joints come to their set points."""
+"""Time constant in s with which joints reach their set points."""
 WATCHDOG = 100
-"""Milliseconds after the last set point in which the robot begins to stop."""
+"""Time in ms after the last set point at which the robot begins to stop."""
 SILENCE = 0.5
-"""Seconds without news of the controller's clock after which the connection is lost."""
+"""Time in s without a change of the controller's clock after which the connection counts as lost."""
 GRIPPER_SPEED = 0.1
 """m/s."""
 
@@ -84,7 +84,7 @@ class Franka(Driver):
         return {"joints": len(state.q), "payload": state.m_total}
 
     def _grip(self, wanted: float | None) -> float:
-        """Tell the hand to close or to open, and ask for its opening. It takes a command only after the one before."""
+        """Command the hand to close or open, and read its opening. It accepts a command only after the last one."""
         try:
             if wanted is not None:
                 self._closing = wanted < 0.5
@@ -108,12 +108,12 @@ class Franka(Driver):
                 self._turn(np.zeros(len(self.bundle.contract["joints"])))
         except self._errors as error:
             raise Fault("refused", str(error).splitlines()[0]) from None
-        time.sleep(0.3)  # until all that is told is of the new episode
+        time.sleep(0.3)  # until all data belong to the new episode
         self._moves = move
         return goal
 
     def _turn(self, speeds: Any) -> None:
-        """Have the joints turn with these speeds, in rad/s."""
+        """Command these joint speeds, in rad/s."""
         motion = self._franky.JointVelocityMotion(speeds.tolist(), self._franky.Duration(WATCHDOG))
         self._robot.move(motion, asynchronous=True)
 
@@ -135,7 +135,7 @@ class Franka(Driver):
             if told != before:
                 since = time.perf_counter()
             elif time.perf_counter() - since > SILENCE:
-                raise Fault("connection lost", "the controller's clock stands")
+                raise Fault("connection lost", "the controller's clock stands still")
 
     def read(self) -> Reading | None:
         self._sensors.check()
@@ -156,7 +156,7 @@ class Franka(Driver):
         try:
             way = point.positions - self._positions - point.velocities / self.rate  # it is of the end of the cycle
             self._turn(np.clip(point.velocities + way / CATCH_UP, -self._fastest, self._fastest))
-        except self._errors as error:  # the motion before has failed
+        except self._errors as error:  # the last motion has failed
             reading = self.read()
             state = reading.state if reading is not None else RUNNING
             raise Fault("refused" if state == RUNNING else state, str(error).splitlines()[0]) from None

@@ -1,4 +1,4 @@
-"""Gripper and cameras of a driver, which answer more slowly than the arm."""
+"""Gripper and cameras of a driver. They answer more slowly than the arm."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from ..kinematics import Array
 from .simulation import Channel
 
 RATE = 125.0
-"""Questions per second."""
+"""Number of requests per second."""
 
 
 class Sensors:
-    """Asks in a thread what gripper and cameras say.
+    """Reads gripper and cameras in a thread.
 
     Args:
-        perception: HOST:PORT of what tells the measured fields, see docs/deploy.md; empty: nothing does.
-        gripper: gets an opening for the gripper, or None to let it be, and returns the one that it has; 0 closed, 1
-            open. It raises OSError, ValueError or IndexError where the gripper does not answer. None: no gripper.
+        perception: HOST:PORT of the source of measured fields, see docs/deploy.md; empty: none.
+        gripper: gets an opening for the gripper, or None for no command, and returns its opening; 0 closed, 1
+            open. It raises OSError, ValueError or IndexError if the gripper does not answer. None: no gripper.
     """
 
     def __init__(self, perception: str, gripper: Callable[[float | None], float] | None) -> None:
         self.opening, self.measured = 0.0, dict[str, Array]()
         self.wanted: float | None = None
-        """Opening that the gripper shall have."""
+        """Commanded opening of the gripper."""
         self._gripper = gripper
         self._failed: Fault | None = None
         self._ended = threading.Event()
@@ -57,7 +57,7 @@ class Sensors:
             raise self._failed
 
     def begin(self, episode: int) -> list[float] | None:
-        """Begin an episode; its goal, if the cameras know one."""
+        """Begin an episode. Returns its goal, if the cameras know one."""
         goal: list[float] | None = None
         if self._perception is not None:
             goal = self._perception.ask(do="begin", episode=episode).get("goal")
@@ -68,7 +68,7 @@ class Sensors:
         return None if self._perception is None else self._perception.ask(do="outcome").get("success")
 
     def close(self) -> None:
-        """Ask no more."""
+        """Stop reading."""
         self._ended.set()
         self._thread.join(1.0)
         if self._perception is not None:

@@ -23,11 +23,11 @@ from . import Driver
 
 
 class Channel:
-    """A connection on which each side says lines of JSON: a request, then its answer.
+    """A connection with lines of JSON: a request, then its answer.
 
     Args:
         address: HOST:PORT.
-        seconds: that an answer may take.
+        seconds: longest time of an answer.
     """
 
     def __init__(self, address: str, seconds: float = 60.0) -> None:
@@ -41,7 +41,7 @@ class Channel:
         self._one = threading.Lock()  # an answer belongs to its request
 
     def ask(self, **request: Any) -> dict[str, Any]:
-        """The answer to a request. Raises Fault if the other side is gone or says that it cannot."""
+        """The answer to a request. Raises Fault if the other side is gone or refuses the request."""
         with self._one:
             try:
                 self._socket.sendall(json.dumps(request).encode() + b"\n")

@@ -1,8 +1,7 @@
 """The driver `ur`: arms of Universal Robots through ur-rtde. It was never tried on hardware.
 
 It was tried against `python -m karolos.export.fake_ur BUNDLE`. Joints follow `servoJ`. A spring at the tool is
-`forceMode` with the force that the spring would have. The controller stops by itself when no set point comes (its
-watchdog).
+`forceMode` with the force of the spring. If no set point comes, the controller's watchdog stops the robot.
 """
 
 from __future__ import annotations
@@ -37,7 +36,7 @@ STATES = {7: "emergency stop", 6: "emergency stop", 5: "emergency stop", 2: "pro
 PLAYING = 2
 """Runtime state of a controller whose program runs."""
 DECELERATION = 5.0
-"""Of a controlled stop, rad/s2."""
+"""Deceleration of a controlled stop, rad/s2."""
 
 
 class UR(Driver):
@@ -88,7 +87,7 @@ class UR(Driver):
         return {"name": model, "joints": len(self._receive.getActualQ()), "payload": self._receive.getPayload()}
 
     def _calibrate(self) -> None:
-        """Find how the controller's base frame is turned from that of the bundle, about the vertical."""
+        """Find the turn of the controller's base frame relative to the bundle's, about the vertical."""
         at = self.bundle.chain.at(self._receive.getActualQ())
         own, told = at.position - self.bundle.chain.base, np.array(self._receive.getActualTCPPose()[:3])
         if abs(np.hypot(*own[:2]) - np.hypot(*told[:2])) + abs(own[2] - told[2]) > TCP_TOLERANCE:
@@ -99,7 +98,7 @@ class UR(Driver):
         self._turn = turned_by((0.0, 0.0, np.arctan2(own[1], own[0]) - np.arctan2(told[1], told[0])))
 
     def _grip(self, wanted: float | None) -> float:
-        """Tell the gripper its opening, and ask for the one that it has."""
+        """Command the gripper's opening, and read its opening."""
         if wanted is not None:
             self._say(f"SET POS {round(255 * (1 - wanted))}")
         return 1 - int(self._say("GET POS").split()[-1]) / 255
@@ -111,12 +110,12 @@ class UR(Driver):
 
     def begin(self, episode: int, *, move: bool) -> list[float] | None:
         goal: list[float] | None = self._sensors.begin(episode)
-        time.sleep(0.3)  # until all that is told is of the new episode
+        time.sleep(0.3)  # until all data belong to the new episode
         if not self._control.isProgramRunning():
             self._control.reuploadScript()
             time.sleep(0.2)  # until the program waits for commands
         if move and not self._control.setWatchdog(self.number("watchdog")):
-            raise Fault("refused", "the controller took no watchdog")
+            raise Fault("refused", "the controller did not accept a watchdog")
         self._time, self._moves = -1.0, move
         return goal
 
@@ -159,18 +158,18 @@ class UR(Driver):
             if reading is not None and reading.state != RUNNING:
                 raise Fault(reading.state, "the robot says that it does not move")
             time.sleep(0.01)
-        raise Fault("refused", "the controller took no set point")
+        raise Fault("refused", "the controller did not accept a set point")
 
     def _follow(self, point: SetPoint) -> bool:
-        """Have the joints follow."""
+        """Let the joints follow a set point."""
         assert point.positions is not None
         assert point.velocities is not None
         lookahead, gain = self.number("lookahead"), self.number("gain")
-        ahead = point.positions + lookahead * point.velocities  # the joints follow as much later
+        ahead = point.positions + lookahead * point.velocities  # the joints follow later by this time
         return bool(self._control.servoJ(ahead.tolist(), 0.0, 0.0, 1 / self.rate, lookahead, gain))
 
     def _press(self, point: SetPoint) -> bool:
-        """Have the tool press with what a spring at the tool would."""
+        """Let the tool press with the force of a spring at the tool."""
         spring, limits = self.bundle.contract["control"]["spring"], self.bundle.contract["limits"]
         assert point.place is not None
         assert point.rotation is not None

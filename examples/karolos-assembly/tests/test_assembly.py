@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 from karolos_assembly.make_parts import parts
-from karolos_assembly.seat_plug import FLOOR, PARTS, TOP
+from karolos_assembly.seat_plug import FLOOR, PARTS, PLASTIC, PLUG, TOP
 from karolos_deploy import Bundle, Executor
 from karolos_deploy.drivers.simulation import Simulation
 
@@ -19,7 +19,7 @@ from karolos.records import RunFolder
 from karolos.registry import find, load
 from karolos.simulation.engines import make_world
 from karolos.simulation.geometry import rotation_about
-from karolos.simulation.shapes import Mesh
+from karolos.simulation.shapes import Mesh, volume_of
 from karolos.specification import load_spec
 
 
@@ -68,6 +68,7 @@ def test_a_policy_leaves_as_a_bundle_that_moves_the_simulated_robot(tmp_path: Pa
     (run,) = Experiment(load_spec(smoke)).run(tmp_path / "runs").runs
     bundle = Bundle(export_bundle(RunFolder.open(run.folder), tmp_path / "bundle").folder)
     assert bundle.replay_episode() == 50
+    assert bundle.contract["robot"]["payload"] == pytest.approx(PLASTIC * volume_of(PLUG)), "the hand is the arm's"
     driver = Simulation(bundle, {"clock": "simulated"})
     executor = Executor(bundle, driver, rate=125)
     executor.check()

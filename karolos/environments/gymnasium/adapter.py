@@ -37,9 +37,9 @@ NO_GOAL = np.zeros(0, np.float32)
 class InfoMeasure(BaseSettings):
     """A measure in the info of an environment."""
 
-    unit: str = Setting("1", description="e.g. N; 1: a number without unit")
-    better: Literal["smaller", "larger"] = Setting(description="which of two values is better")
-    description: str = Setting("", description="one line")
+    unit: str = Setting("1", description="unit, e.g. N; 1: none")
+    better: Literal["smaller", "larger"] = Setting(description="whether smaller or larger values are better")
+    description: str = Setting("", description="one line that says what is measured")
 
 
 class Gymnasium(Environment):
@@ -53,8 +53,8 @@ class Gymnasium(Environment):
     Reward and termination: the environment's.
     What counts as success, with goals: a reward of at least `success_reward`. Without goals: the episode ends with a
     return of at least `success_return`; without it, of at least the `reward_threshold` the id is registered with;
-    without either, `info["is_success"]`, and results show returns only until a test has such a success. Returns are
-    judged at the end only: where rewards are negative, every episode begins above any threshold.
+    without either, `info["is_success"]`, and results show only returns until a test has such a success. Returns are
+    judged only at the end: with negative rewards every episode begins above any threshold.
     Measures: numbers in the `info` of the last step, by the names in `measures`; undefined where the info lacks one.
 
     Raises:
@@ -64,32 +64,30 @@ class Gymnasium(Environment):
     """
 
     class Settings(BaseSettings):
-        id: str = Setting(min_length=1, description='as for gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
-        kwargs: dict[str, JsonValue] = Setting({}, description="further arguments of gymnasium.make")
-        max_steps: int | None = Setting(
-            None, ge=1, le=10_000_000, description="steps per episode; null: as the id is registered"
-        )
+        id: str = Setting(min_length=1, description='id as in gymnasium.make, e.g. "CartPole-v1" or "module:Name-v0"')
+        kwargs: dict[str, JsonValue] = Setting({}, description="more arguments of gymnasium.make")
+        max_steps: int | None = Setting(None, ge=1, le=10_000_000, description="steps per episode; null: as registered")
         success_return: float | None = Setting(
-            None, description="return from which an episode is a success; null: the id's reward_threshold"
+            None, description="an episode with at least this return is a success; null: the id's reward_threshold"
         )
         reward_range: tuple[float, float] | None = Setting(
             None,
-            description="smallest and largest reward of a step, where known: it bounds the learned values",
+            description="smallest and largest reward of a step, if known; they bound the learned values",
         )
         goals: bool = Setting(False, description="keep the goals of a goal environment, for hindsight")
         success_reward: float | None = Setting(
             None,
-            description="with goals: reward of a step from which the goal is reached; null: the reward where the "
+            description="with goals: a step with at least this reward has reached the goal; null: the reward when the "
             "achieved goal equals the desired one. Needed for dense rewards",
         )
         goal_terminates: bool | None = Setting(
             None,
             description="with goals: whether reaching the goal ends the episode; null: as the environment's "
-            "compute_terminated says, false without one",
+            "compute_terminated says; false if it has none",
         )
-        flatten_goals: bool = Setting(False, description="take the goals of a goal environment as observations")
+        flatten_goals: bool = Setting(False, description="use the goals of a goal environment as observations")
         measures: dict[str, InfoMeasure] = Setting(
-            {}, description="what an episode is measured by: keys of the last step's info, each with unit and better"
+            {}, description="measures of an episode: keys of the last step's info, each with unit and better"
         )
         window: bool = Setting(False, description="show the environment in a window; needs a display")
 
@@ -105,7 +103,7 @@ class Gymnasium(Environment):
             if "max_episode_steps" in self.kwargs:
                 raise ValueError("kwargs cannot have max_episode_steps; set max_steps instead")
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
-                raise ValueError(f"reward_range must go from the smallest to the largest, not {self.reward_range}")
+                raise ValueError(f"reward_range must be [smallest, largest], not {self.reward_range}")
             if self.goals and (self.flatten_goals or self.success_return is not None):
                 other = "flatten_goals" if self.flatten_goals else "success_return"
                 raise ValueError(f"goals and {other} exclude each other")
@@ -114,7 +112,7 @@ class Gymnasium(Environment):
             return self
 
         def identity(self) -> dict[str, Any]:
-            """The settings that results depend on."""
+            """The settings that change results."""
             return self.model_dump(mode="json", exclude={"window", "measures"})
 
     def __init__(self, settings: Gymnasium.Settings) -> None:
@@ -213,7 +211,7 @@ class Gymnasium(Environment):
         return self._last
 
     def _parts(self, found: Any, method: str, names: str) -> tuple[Any, ...]:
-        """Check the result of a method; of the first steps compare the observation with its space as well."""
+        """Check the result of a method. In the first steps also compare the observation with its space."""
         count = names.count(",") + 1
         if not isinstance(found, tuple) or len(found) != count or not isinstance(found[-1], Mapping):
             raise self._broken(f"{method} returns no tuple ({names}) with a dict at its end")
@@ -332,7 +330,7 @@ def _run_that_holds(module: str) -> Path | None:
 
 
 def _own_limit(env: Any) -> int | None:
-    """After how many steps the environment itself, or a TimeLimit in it, ends an episode."""
+    """Number of steps after which the environment itself, or a TimeLimit in it, ends an episode."""
     from gymnasium.wrappers import TimeLimit  # noqa: PLC0415
 
     limits = [getattr(env.spec, "max_episode_steps", None)]
@@ -343,13 +341,13 @@ def _own_limit(env: Any) -> int | None:
 
 
 def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
-    """The observed space: all, or all but the goals."""
+    """The observed space, without the goals if these are used as goals."""
     from gymnasium import spaces  # noqa: PLC0415
 
     has_goals = isinstance(space, spaces.Dict) and set(GOALS) <= set(space.spaces)
     if has_goals and not (settings.flatten_goals or settings.goals):
         raise UsageError(
-            f"{settings.id} has goals, and nothing says what to do with them",
+            f"{settings.id} has goals, and the spec does not say how to use them",
             setting="environment.goals",
             hint="goals: true keeps them for hindsight; flatten_goals: true takes them as observations",
         )
@@ -371,7 +369,7 @@ def _observed(space: Any, settings: Gymnasium.Settings) -> Any:
 
 
 def _difference(space: Any, value: Any, name: str = "observation") -> str | None:
-    """Which part of an observation is not in its space. Numbers may be more precise than there."""
+    """The part of an observation that is not in its space. Numbers may have a higher precision."""
     from gymnasium import spaces  # noqa: PLC0415
 
     if isinstance(space, spaces.Dict) and isinstance(value, Mapping) and set(space) <= set(value):
@@ -534,19 +532,19 @@ class GymnasiumGoals(GoalRule):
                 f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
                 f"{type(error).__name__}: {line}",
                 setting=GOALS_SETTING,
-                hint="compute the rewards (n,) along the last axis, from the goals alone",
+                hint="compute the rewards (n,) along the last axis, only from the goals",
             ) from error
         wrong = np.flatnonzero(~np.isclose(given, found, rtol=1e-4, atol=1e-5))
         if wrong.size:
             raise UsageError(
                 f"{self._name} gave reward {given[wrong[0]]:g}, its compute_reward says {found[wrong[0]]:g}",
                 setting=GOALS_SETTING,
-                hint="hindsight needs a reward that depends on the two goals alone",
+                hint="hindsight needs a reward that depends only on the two goals",
             )
         if best is not None:
             if np.unique(given).size > 2 or np.ptp(best):
                 raise UsageError(
-                    f"{self._name} has dense rewards, which do not say when the goal is reached",
+                    f"{self._name} has dense rewards, which do not show whether the goal is reached",
                     setting="environment.success_reward",
                     hint=f"give the reward of a step that reaches the goal; exactly at the goal it is {best[0] + 0:g}",
                 )

@@ -25,13 +25,13 @@ from ..robot_task import RobotTask
 
 OBSERVED = ("observation", "achieved_goal", "desired_goal")
 RENDER_MODES = ["human", "rgb_array"] if any(one.has_window for one in ENGINES.values()) else ["rgb_array"]
-"""Those that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
+"""Render modes that work on this machine: a window needs a display, and `check_env` tries every listed mode."""
 
 
 class Observation(dict[str, NDArray[np.float32]]):
     """A dict of `observation`, `achieved_goal` and `desired_goal` that knows the environment it comes from.
 
-    Leading axes: none, or one over environments. A policy asks the `facts`. A copy made of the entries has none.
+    Leading axes: none, or one over environments. A policy reads the `facts`. A copy made from the entries has none.
     """
 
     def __init__(self, step: Step, facts: Facts) -> None:
@@ -63,7 +63,7 @@ class Goals:
     def compute_reward(self, achieved_goal: Any, desired_goal: Any, info: Any) -> Any:
         """Reward (...) of achieved goals (..., a) and desired goals (..., d), with the part of it in the step's info.
 
-        A batch has a list of infos, or one info for all; with None or {} nothing is added.
+        A batch has a list of infos, or one info for all. With None or {} nothing is added.
         """
         reward = self._rule.reward(np.asarray(achieved_goal, np.float32), np.asarray(desired_goal, np.float32))
         if self.facts.signature.extra_reward != (0.0, 0.0):
@@ -132,7 +132,7 @@ class GoalEnv(Goals, gymnasium.Env[Observation, NDArray[np.float32]]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode. The info has its seed, and the parameters that randomization drew."""
+        """Begin an episode. The info has its seed and the sampled parameters."""
         super().reset(seed=seed, options=options)
         self._refuse_longer_limits()
         episode = int(self.np_random.integers(2**63 - 1)) if seed is None else int(seed)
@@ -219,8 +219,8 @@ class SpecEnv(GoalEnv):
     `gymnasium.make(environment.spec)` makes another one, `gymnasium.make_vec(environment.spec, num_envs=8)` several.
 
     Args:
-        spec: or a dictionary of that shape, such as `Spec.dump()`.
-        randomize: whether to draw the spec's `randomization` at each reset, as training does and tests do not.
+        spec: a spec, or a dictionary of that shape, such as `Spec.dump()`.
+        randomize: whether to sample the spec's `randomization` at each reset, as in training. Tests do not.
 
     Raises UsageError if the environment has no goals, and as `build_environment`.
     """

@@ -1,4 +1,4 @@
-"""What plugins promise: checked by a plugin's own tests, by `karolos plugins check`, and by karolos's tests.
+"""The promises of plugins, checked by a plugin's own tests, by `karolos plugins check`, and by karolos's tests.
 
     from karolos.plugins.contracts import check
 

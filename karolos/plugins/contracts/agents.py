@@ -18,7 +18,7 @@ from .case import Candidate, Promises, demand, demand_same, demand_same_state, d
 PROMISES = Promises()
 DISCRETE = replace(SIGNATURE, action=Discrete(("left", "right", "stay")))
 SIZE, CALLS = 16, 8
-"""Transitions of a batch, and the calls in which they are added."""
+"""Number of transitions of a batch, and of the calls that add them."""
 
 
 @PROMISES
@@ -33,7 +33,7 @@ def actions_have_their_shape_and_range(one: Candidate) -> None:
             if isinstance(signature.action, Discrete):
                 allowed, indices = set(range(len(signature.action.labels))), set(actions.ravel().tolist())
                 demand(indices <= allowed, f"the actions {sorted(indices)} are not among {sorted(allowed)}")
-            elif explore and agent.on_policy:  # clipped for the environment only
+            elif explore and agent.on_policy:  # clipped only for the environment
                 demand(np.isfinite(actions).all(), "an action is not finite")
             else:
                 demand(np.abs(actions).max() <= 1, f"an action has the magnitude {np.abs(actions).max()}")
@@ -111,7 +111,7 @@ def the_discount_is_below_one(one: Candidate) -> None:
 
 
 def _made(one: Candidate, seed: int = 0) -> tuple[Agent[Any], Signature]:
-    """The agent with continuous actions, or with discrete ones where it refuses those."""
+    """The agent with continuous actions, or with discrete ones if it refuses continuous ones."""
     try:
         return one.plugin(one.settled(), SIGNATURE, SeedTree(seed)), SIGNATURE
     except UsageError:

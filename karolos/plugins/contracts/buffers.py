@@ -125,13 +125,13 @@ def _made(one: Candidate, seed: int = 0) -> Buffer[Any]:
 
 
 def _feed(buffer: Buffer[Any], *, first: int = 0, calls: int = CALLS) -> None:
-    """Noise from all environments; each transition's reward is its number."""
+    """Noise from all environments. The reward of a transition is its number."""
     for call in range(first, first + calls):
         buffer.add(noise(SIGNATURE, call, ENVIRONMENTS))
 
 
 def noise(signature: Signature, call: int, environments: int) -> Transitions:
-    """Random transitions of this call; each one's reward is its number."""
+    """Random transitions of this call. The reward of a transition is its number."""
     generator, numbers = np.random.default_rng(call), np.arange(environments)
 
     def columns(layout: Layout) -> FloatArray:

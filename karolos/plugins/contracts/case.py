@@ -62,7 +62,7 @@ def candidate(kind: str, name: str, engine: Engine | None = None, **settings: An
 
 @dataclass(frozen=True)
 class Case:
-    """A promise and the plugins that it is checked for. A call checks it.
+    """A promise with the plugins for which a call checks it.
 
     Raises:
         AssertionError: the promise is broken; the message is one line.
@@ -71,9 +71,9 @@ class Case:
     promise: Callable[..., None]
     candidates: tuple[Candidate, ...]
     opened: Callable[..., AbstractContextManager[Any]] | None = None
-    """Makes what the promise is about of the candidates; None: the promise gets the candidates."""
+    """Builds the subject of the promise from the candidates; None: the promise gets the candidates."""
     basic: bool = False
-    """Whether no other promise can be kept without this one."""
+    """Whether all other promises depend on this one."""
 
     def __call__(self) -> None:
         if self.opened is None:

@@ -18,7 +18,7 @@ from .case import Candidate, Case, candidate, required
 from .joined import TURNING, controls, goes_with, refusal, under
 
 KINDS = ("robots", "grippers", "tasks", "agents", "buffers", "environments", "distributions")
-"""Kinds with contracts. Orchestrators are tested in karolos alone."""
+"""Kinds with contracts. Orchestrators are tested only in karolos."""
 USUAL_ROBOT = "panda"
 """The robot with which a task's own promises are checked."""
 
@@ -78,7 +78,7 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
 
 
 def results(found: Iterable[Case]) -> Iterator[tuple[Case, str | None]]:
-    """Each case with what is wrong, in one line; None if the promise is kept. Ends after a broken basic promise."""
+    """Each case with its error in one line; None if the promise is kept. Ends after a broken basic promise."""
     for case in found:
         problem = _problem(case)
         yield case, problem
@@ -93,7 +93,7 @@ def _problem(case: Case) -> str | None:
         return str(error)
     except KarolosError as error:
         return " ".join(str(error).splitlines())
-    except Exception as error:  # a plugin may raise anything; the traceback shows its author where
+    except Exception as error:  # a plugin may raise anything; the traceback shows the place
         traceback.print_exception(error)
         return f"{type(error).__name__}: {' '.join(str(error).splitlines())}"
     return None
@@ -158,7 +158,7 @@ def _of_gripper(one: Candidate, *, alone: bool) -> list[Case]:
 
 
 def _of_grip(robot: Candidate) -> list[Case]:
-    """Promises of what the robot holds things with."""
+    """Promises of the robot's gripper."""
     gripper = robot.plugin(robot.settled()).gripper
     if gripper is None:
         return []

@@ -22,7 +22,7 @@ def an_episode_begins_and_takes_a_step(environment: Environment) -> None:
 
 @REPEATS
 def the_same_seed_gives_the_same_trajectory_in_a_fresh_and_in_a_used_environment(*who: Candidate) -> None:
-    """A seed and the actions determine an episode and its measures, whatever the environment did before."""
+    """A seed and the actions determine an episode and its measures, independent of earlier episodes."""
     with opened(*who) as environment, opened(*who) as fresh:
         first, measures = _played(environment, 3), environment.measures().tobytes()
         _played(environment, 4)

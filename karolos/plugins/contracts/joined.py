@@ -16,7 +16,7 @@ from .case import Candidate, candidate
 CONTROLS = ("joint", "cartesian")
 """Control modes in which a robot is checked with every task."""
 TURNING = ("pose", "impedance")
-"""Those in which it is checked alone, and with tasks that ask for them."""
+"""Control modes in which it is checked alone, and with tasks that need them."""
 
 
 def opened(first: Candidate, task: Candidate | None = None) -> AbstractContextManager[Environment]:
@@ -54,7 +54,7 @@ def join(
 
 def refusal(robot: Candidate, task: Candidate) -> str | None:
     """Why the task refuses the robot; None if they work together. Nothing is simulated."""
-    robot.plugin(robot.settled())  # what these raise is no refusal
+    robot.plugin(robot.settled())  # an error of these is not a refusal
     task.plugin(task.settled())
     try:
         join(robot, task).close()
@@ -86,7 +86,7 @@ def under(robot: Candidate, control: str) -> Candidate:
 
 
 def goes_with(task: Candidate, control: str | None) -> bool:
-    """Whether the task works under a control mode: cartesian control keeps the tool pointing down, joints are stiff."""
+    """Whether the task works under a control mode. Cartesian control keeps the tool pointing down; joints are stiff."""
     if task.plugin.control == "impedance":
         return control not in ("cartesian", "joint")
     return control != "cartesian" or task.plugin.control == "cartesian"

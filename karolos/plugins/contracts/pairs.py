@@ -18,12 +18,12 @@ from .joined import joined, refusal
 EPISODES, CHANCE_EPISODES = 10, 4
 REFUSED, PROMISES, IN_REACH = Promises(), Promises(), Promises()
 ARM_IN_REACH, EXPERT = Promises(), Promises()
-"""Gravity need not move a robot that is no arm, and a task need not have an expert."""
+"""Gravity may not move a robot that is not an arm, and a task may have no expert."""
 
 
 @REFUSED
 def the_task_refuses_the_robot(robot: Candidate, task: Candidate) -> None:
-    """The task says why it cannot be done with the robot, e.g. too slow to throw, before anything is simulated."""
+    """The task says why the robot cannot do it (e.g. too slow to throw) before anything is simulated."""
     demand(refusal(robot, task), "the task refuses the robot without a reason")
 
 
@@ -51,7 +51,7 @@ def random_actions_do_not_solve_the_pair(robot: Candidate, task: Candidate) -> N
 
 @PROMISES
 def drawing_the_nominal_values_changes_nothing(robot: Candidate, task: Candidate) -> None:
-    """Randomization that draws every nominal value gives the episodes of the plain environment."""
+    """Randomization that samples every nominal value gives the episodes of the plain environment."""
     with joined(robot, task) as plain:
         nominal = {name: value for name, (value, _, _) in _declared(plain).items()}
         with joined(robot, task, drawn=nominal) as drawn:
@@ -74,7 +74,7 @@ def extreme_values_of_every_parameter_can_be_drawn(robot: Candidate, task: Candi
         values = {name: bounds[place] for name, bounds in declared.items()}
         with joined(robot, task, drawn=values) as environment:
             environment.reset(0)
-            # Of a stage's probability, parameters() tells whether the episode began in the stage.
+            # For the probability of a stage, parameters() says whether the episode began in the stage.
             drawn = dict(zip(sorted(values), environment.parameters().tolist(), strict=True))
             wrong = [
                 f"{drawn[name]:g} for {name}, but {value:g} was drawn"

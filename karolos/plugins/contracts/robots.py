@@ -34,7 +34,7 @@ SIZE = 0.04
 
 
 class Grasping(Reach):
-    """Reach with a gripper that opens and closes, and a cube that the gripper holds at the start, below a cup."""
+    """Reach with a gripper that opens and closes, and with a cube in the gripper (below a cup) at the start."""
 
     uses_gripper = True  # type: ignore[assignment]  # mypy narrows the union to the literal of Reach
 
@@ -59,16 +59,16 @@ def as_its_sheet_says(one: Candidate) -> AbstractContextManager[RobotTask]:
 
 
 def in_physics_steps(one: Candidate) -> AbstractContextManager[RobotTask]:
-    """The robot with the task reach in control steps of one physics step, after each of which it can be looked at."""
+    """The robot with the task reach. A control step is one physics step, so that each one can be inspected."""
     return joined(one, candidate("tasks", "reach"), substeps=1, max_steps=100_000)
 
 
 BEGINS = Promises(reaching, basic=True)
 BEGINS(an_episode_begins_and_takes_a_step)
 ANY_ROBOT = Promises(reaching)
-"""Promises that need the public protocol `Robot` alone."""
+"""Promises that need only the public protocol `Robot`."""
 ARM = Promises(reaching)
-"""Promises of every `robots.arm.Arm` under each control mode. They look at its motors and its body."""
+"""Promises of every `robots.arm.Arm` under each control mode. They inspect its motors and its body."""
 JOINT_CONTROL, CARTESIAN_CONTROL, IMPEDANCE_CONTROL = Promises(reaching), Promises(reaching), Promises(reaching)
 TURNED = Promises(reaching)
 """Promises of pose and impedance control of an arm that says where it can turn its tool."""
@@ -100,7 +100,7 @@ def the_tool_reaches_every_corner_of_the_workspace(environment: RobotTask) -> No
     """The tool comes within 5 mm of every corner and of the centre of every edge and face of the workspace."""
     robot = environment.robot
     box = robot.workspace
-    steps = 150 if "impedance" in robot.engine_needs.values() else 45  # a spring is slower
+    steps = 150 if "impedance" in robot.engine_needs.values() else 45  # springs are slower
     slower = max(1.0, ArmSettings.model_fields["tool_step"].default / robot.tool_step)  # so are slow joints
     for x, y, z in product(*zip(box.low, box.centre, box.high, strict=True)):
         environment.reset(0)
@@ -192,7 +192,7 @@ def each_parameter_acts_and_can_be_reset(environment: RobotTask) -> None:
         robot.apply(name, value)
         changed, other = end()
         robot.apply(name, declared.nominal)
-        # motors compensate masses: they change the motion where a motor is short of torque
+        # motors compensate masses: these change the motion if a motor lacks torque
         acts = np.abs(changed - observation).max() > 1e-5 or np.abs(other - torques).max() > 1e-2
         demand(acts, f"{name} = {value:g} changes neither motion nor torques")
         demand_same(end()[0], observation, f"observations before and after a change of {name}")
@@ -200,7 +200,7 @@ def each_parameter_acts_and_can_be_reset(environment: RobotTask) -> None:
 
 @JOINT_CONTROL
 def dry_friction_takes_its_fraction_of_the_largest_torques(environment: RobotTask) -> None:
-    """Full actions never take more torque than `joint_friction` leaves to a motor, and take all of it without it."""
+    """Full actions use at most the torque that `joint_friction` leaves to a motor, and without friction all of it."""
     robot = environment.robot
     most = np.array(robot.limits.effort)
     shares = []
@@ -222,7 +222,7 @@ def dry_friction_takes_its_fraction_of_the_largest_torques(environment: RobotTas
 def every_joint_reaches_its_speed(environment: RobotTask) -> None:
     """In joint control each joint reaches between .9 and 1.05 of its speed, also with the largest joint_damping.
 
-    Slower is only a joint with which the tool reaches .9 of its own speed.
+    A joint may be slower if the tool reaches .9 of its own speed.
     """
     robot = environment.robot
     environment.reset(0)  # builds the world
@@ -265,7 +265,7 @@ def a_full_action_moves_the_tool_by_one_tool_step(environment: RobotTask) -> Non
 
 @CARTESIAN_CONTROL
 def a_motion_keeps_its_direction_beside_one_to_and_fro(environment: RobotTask) -> None:
-    """.3 of an action along one axis moves the tool by .6 to 1.1 of that, while full ones alternate along another."""
+    """.3 of an action along one axis moves the tool by .6 to 1.1 of it, while full actions alternate along another."""
     robot: Any = environment.robot
     for axis, other in permutations(range(3), 2):
         environment.reset(0)
@@ -280,7 +280,7 @@ def a_motion_keeps_its_direction_beside_one_to_and_fro(environment: RobotTask) -
 
 @TURNED
 def each_of_100_poses_is_reached(environment: RobotTask) -> None:
-    """The tool comes within 5 mm and .02 rad of 100 poses in `dexterous`, tilted as far as the arm says."""
+    """The tool comes within 5 mm and .02 rad of 100 poses in `dexterous`, tilted up to the arm's limit."""
     robot: Any = environment.robot
     draws, orientations, box = _generator(), robot.orientations, robot.dexterous
     environment.reset(0)
@@ -300,7 +300,7 @@ def each_of_100_poses_is_reached(environment: RobotTask) -> None:
 
 @IMPEDANCE_CONTROL
 def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) -> None:
-    """Against a wall at each side the wrist feels stiffness times error within 5 %, and just what its limit allows."""
+    """Against a wall at each side the wrench at the wrist is stiffness times error within 5 %, up to the limit."""
     robot: Any = environment.robot
     environment.reset(0)
     wall = environment.world.body([Cuboid((0.1, 0.1, 0.1))], 0.0, (0.6, 0.6, 0.6, 1.0))
@@ -400,7 +400,7 @@ def accelerations_are_those_of_the_data_sheet(environment: RobotTask) -> None:
 
 @GRIPPER
 def a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world(environment: RobotTask) -> None:
-    """A cube of 4 cm and .1 kg is held through a shake of 1 s, bit for bit alike in a fresh and a used world."""
+    """A cube of 4 cm and .1 kg is held through a shake of 1 s, bit for bit the same in a new and in a used world."""
     poses = _held_through_a_shake(environment, 0.1)
     demand_same(_held_through_a_shake(environment, 0.1), poses, "the cube's poses in a world that was used before")
     environment.close()
@@ -409,7 +409,7 @@ def a_gripped_cube_is_held_through_a_shake_alike_in_a_fresh_and_a_used_world(env
 
 @GRIPPER
 def an_object_that_is_held_at_a_reset_moves_alike_in_a_fresh_and_a_used_world(environment: RobotTask) -> None:
-    """An episode that begins with a cube in the gripper repeats bit for bit, whatever the world did before."""
+    """An episode that begins with a cube in the gripper repeats bit for bit, independent of earlier episodes."""
 
     def held() -> Array:
         environment.reset(0)
@@ -458,7 +458,7 @@ def the_pads_are_as_far_apart_as_the_gripper_says(environment: RobotTask) -> Non
 
 @CUP
 def a_body_hangs_from_a_cup_up_to_its_force_and_no_further(environment: RobotTask) -> None:
-    """A body of .97 of the cup's force hangs from it for 1 s, one of 1.03 falls; so does one when suction ends."""
+    """A body with .97 of the cup's force as weight hangs from it for 1 s. With 1.03, or without suction, it falls."""
     robot: Any = environment.robot
     for share, opening, hangs in ((0.97, 0.0, True), (1.03, 0.0, False), (0.97, 1.0, False)):
         mass = share * robot.gripper.max_force / 9.81
@@ -530,7 +530,7 @@ def _pads(robot: Any) -> list[int]:
 
 
 def _torques(environment: RobotTask) -> Array:
-    """Of the arm's motors in N m: (n,)."""
+    """Torques of the arm's motors in N m: (n,)."""
     states = _body(environment).joints(range(len(environment.robot.limits.effort)))
     return np.array([state[3] for state in states])
 

@@ -1,4 +1,4 @@
-"""Promises of every task, whatever the robot. They are checked with the robot given."""
+"""Promises of every task that do not depend on the robot. They are checked with the given robot."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from .parallel import GripperModel, ParallelGripper
 
 
 class FrankaHand(ParallelGripper):
-    """Two fingers that open 8 cm, .76 kg. Source: Franka Emika's data sheet; see urdf/franka_hand.urdf."""
+    """Two fingers with an opening of 8 cm, .76 kg. Source: Franka Emika's data sheet; see urdf/franka_hand.urdf."""
 
     model = GripperModel(
         urdf=Path(__file__).parent / "urdf" / "franka_hand.urdf",

@@ -1,4 +1,4 @@
-"""Grippers: parts that a spec mounts on an arm, with two fingers that slide towards each other, or with a cup."""
+"""Grippers that a spec mounts on an arm: two fingers that slide towards each other, or a suction cup."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ class GripperModel:
     """Tool centre point in the frame of the base, in m. The tool approaches along z."""
     fingers: Fingers | None = None
     cup: Cup | None = None
-    """Instead of fingers."""
+    """Suction cup that replaces fingers."""
     least_height: float = 0.02
-    """Least height of the tool centre point above the floor while the tool points down, in m. An arm that comes with
-    the gripper may know better."""
+    """Smallest height of the tool centre point above the floor while the tool points down, in m. An arm that comes with
+    the gripper may have another value."""
     variants: Mapping[str, Path] = field(default_factory=dict)
     """URDFs that stand for this one on some arms, by the name of the arm's URDF, such as ur5."""
 
     @property
     def mass(self) -> float:
-        """In kg."""
+        """Mass in kg."""
         robot = urdf.load(self.urdf, slides=self.fingers.joints if self.fingers else ()).robot
         return sum(float(one.get("value", "0")) for one in robot.iterfind("link/inertial/mass"))
 

@@ -11,7 +11,7 @@ URDF = Path(__file__).parent / "urdf"
 
 
 class Robotiq2F85(ParallelGripper):
-    """Two fingers that open 8.5 cm, .9 kg. Source: Robotiq's data sheet; see urdf/robotiq_2f85.urdf."""
+    """Two fingers with an opening of 8.5 cm, .9 kg. Source: Robotiq's data sheet; see urdf/robotiq_2f85.urdf."""
 
     model = GripperModel(
         urdf=URDF / "robotiq_2f85.urdf",

@@ -11,9 +11,9 @@ from ...simulation.interface import Cup
 from .parallel import GripperModel
 
 RADIUS = 0.015
-"""Of the lip, in m."""
+"""Radius of the lip, in m."""
 PRESSURE = 60e3
-"""Pa below that of the air, with which makers state holding forces: a vacuum of 60 %."""
+"""Pa below the air pressure: a vacuum of 60 %, for which makers state holding forces."""
 
 
 class VacuumCup:

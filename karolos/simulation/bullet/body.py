@@ -25,7 +25,7 @@ class BulletBody:
     PyBullet's pose of a base is that of its centre of mass and principal axes.
 
     Args:
-        inertia: of a base whose own frame is another.
+        inertia: of a base whose own frame differs.
     """
 
     def __init__(self, api: Client, index: int, inertia: Inertia | None = None) -> None:
@@ -156,7 +156,7 @@ class Client:
             raise MachineError("the physics engine does not start", hint="too many worlds, or no display for a window")
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith("_"):  # also where a copy asks before there is a module
+        if name.startswith("_"):  # also if a copy asks before the module exists
             raise AttributeError(name)
         found = getattr(self._module, name)
         if callable(found) and not isinstance(found, type):

@@ -15,7 +15,7 @@ from .body import BulletBody
 
 STABLE_DAMPING = 0.5
 """Largest fraction of a joint's speed that its own damping removes per physics step. PyBullet integrates it explicitly:
-from 1 on a light wrist oscillates."""
+a light wrist oscillates from 1 upwards."""
 
 
 class BulletMotors:
@@ -125,7 +125,7 @@ class BulletMotors:
             self._body.set_friction(friction, link)
 
     def release_in_motion(self) -> None:
-        """From now on friction lets go while the gripper opens, see `World.release_in_motion`."""
+        """From now on the opening gripper releases static friction, see `World.release_in_motion`."""
         self._releases_in_motion = True
 
     def write(self, positions: Sequence[float], opening: float) -> None:
@@ -184,7 +184,7 @@ class BulletMotors:
         raise BULLET.lacks("impedance")
 
     def aim(self, position: Vector, orientation: Quaternion, velocity: Vector, spin: Vector) -> None:
-        """Nothing: there is no spring."""
+        """Does nothing: there is no spring."""
 
     def wrench(self) -> Sequence[float]:
         self.feels = True

@@ -40,12 +40,12 @@ from .body import BulletBody, Client
 from .motors import BulletMotors
 
 FLOOR_HALF = (5.0, 5.0, 0.5)
-"""Half the edges of the slab that is the floor, in m. An endless plane would be checked against every link at every
-substep, wherever they are: 8 % of an arm's step."""
+"""Half the edges of the slab that is the floor, in m. An infinite plane would be checked against every link at every
+substep, at any distance: 8 % of an arm's step."""
 HIDDEN_PLACE = (0.0, 0.0, -100.0)
 """A place that no camera sees."""
 SOLVER_ROUNDS = 501
-"""Largest number of the solver's iterations per physics step. Only a cube that a strong arm presses takes all of them.
+"""Largest number of solver iterations per physics step. Only a cube that a strong arm presses needs all of them.
 With 301 an iiwa that stands still and presses a cube with 700 N shoots it away at .7 m/s; with 201 it sinks 3 mm."""
 SOLVER_RESIDUAL = 3e-4
 """Residual at which the solver stops earlier. An arm at rest sags .6 mm at 1e-4, .9 at 3e-4, 1.8 at 1e-3 (Panda). At
@@ -54,9 +54,9 @@ CONTACT_ERP = 0.5
 """Fraction of a contact's depth that is corrected per physics step. At PyBullet's .2 an arm presses a cube 8 mm deep
 into the floor."""
 RELEASE_ERP = 0.03
-"""The same where objects leave a moving hand. At .5, and with friction that stays anchored while the gripper opens,
-what is left of the pads' pressure decides where the cube goes: the same throw of a trained policy, its actions changed
-by .0005, lands 2 cm apart (standard deviation), with this .7 cm, with MuJoCo .1 cm."""
+"""The same for objects that leave a moving hand. At .5, and with friction that stays anchored while the gripper opens,
+the rest of the pads' pressure decides where the cube goes. If the actions of a trained policy change by .0005, landings
+spread by 2 cm (standard deviation), with this value by .7 cm, in MuJoCo by .1 cm."""
 
 
 _Place = tuple[Vector, Quaternion, list[float]]
@@ -70,18 +70,18 @@ class BulletWorld:
     those of the whole control step, and motors keep one target speed through it. Forces here are in N.
 
     The solver iterates until the residual is small, up to `SOLVER_ROUNDS` times. A free arm needs a few rounds, a grip
-    all of them. Their number follows from the state alone, so that an episode repeats bit for bit. With 17 rounds a
-    gripper of 20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of
-    the fingers has to be solved last.
+    all of them. The number depends only on the state, so that an episode repeats bit for bit. With 17 rounds a gripper
+    of 20 N closes with 13 N. The number is odd because the order of the constraints alternates, and the gear of the
+    fingers must be solved last.
 
-    The floor is a rigid body: as an articulated one without joints it would cost 5 % more. A rigid cube would save as
-    much again, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
+    The floor is a rigid body: as an articulated body without joints it would cost 5 % more. A rigid cube would save
+    another 5 %, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
 
     Args:
         substeps: physics steps per control step.
         rate: physics steps per second.
         window: whether a window shows the world, with the floor of the pictures.
-        camera: from where.
+        camera: of the window.
 
     Raises MachineError when a window is requested and there is no display.
     """
@@ -108,15 +108,15 @@ class BulletWorld:
         self.set_gravity(GRAVITY)
         self._markers: list[tuple[BulletBody, float, Colour]] = []
         self._pictured: list[_Place] = []
-        """Where bodies and joints were in the last picture of a present state."""
+        """Positions of bodies and joints in the last picture of a present state."""
         self._double: BulletWorld | None = None
-        """The same world for pictures between: to write states and to restore them would change what follows."""
+        """A second world for pictures between states. Writing and restoring states here would change the simulation."""
         self._made: list[Callable[[BulletWorld], object]] = []
         self._motors: list[BulletMotors] = []
         self._free: list[BulletBody] = []
         self._stepped = False
         self._peaks: dict[int, dict[tuple[int, int], float]] = {}
-        """Largest forces on the bodies for which they were asked, see `forces`."""
+        """Largest forces on the bodies that were asked about, see `forces`."""
         self._window = window
         self.floor = self._create(
             api.createCollisionShape(
@@ -154,7 +154,7 @@ class BulletWorld:
         self._made.append(lambda world: world.load(source, position=position))
         mechanism = read(source) if isinstance(source, Path) else source
         body = BulletBody(self.api, self._load(mechanism.robot, fixed=True, position=position))
-        if mechanism.frictions or mechanism is not source:  # no arm
+        if mechanism.frictions or mechanism is not source:  # not an arm
             body.collide_only(())
             for link in (-1, *body.links().values()):
                 body.change(link, collisionMargin=0.0)
@@ -257,7 +257,7 @@ class BulletWorld:
         return [Contact(point[7], point[9], point[8]) for point in points or ()]
 
     def forces(self, body: Body) -> dict[tuple[int, int], float]:
-        # recorded from the first call on, because a look in each physics step costs some us
+        # recorded from the first call on, because reading them in each physics step costs some us
         return self._peaks.setdefault(body.index, self._forces(body.index) if self._stepped else {})
 
     def largest_forces(self, body: Body) -> dict[tuple[int, int], float]:
@@ -288,7 +288,7 @@ class BulletWorld:
         return self._double._picture(width, height, camera, strokes)
 
     def _places(self) -> list[_Place]:
-        """Those of each body."""
+        """Contacts of each body."""
         api = self.api
         indices = map(api.getBodyUniqueId, range(api.getNumBodies()))
         return [
@@ -300,7 +300,7 @@ class BulletWorld:
         ]
 
     def _stand(self, before: list[_Place], now: list[_Place], back: float) -> None:
-        """Put every body on the way between two states, this share of it before the second."""
+        """Move every body to a place between two states, this share of the way before the second."""
         api = self.api
         for place, (old, new) in enumerate(zip(before, now, strict=True)):
             body = api.getBodyUniqueId(place)
@@ -334,9 +334,9 @@ class BulletWorld:
         return colours[..., :3].astype(np.uint8), np.where(bodies[..., 0] >= 0, away, np.float32(np.inf))
 
     def _floor_look(self) -> Any:
-        """The visual shape of the floor: that of the pictures in a window. Pictures draw theirs themselves."""
+        """The visual shape of the floor in a window. Pictures draw their own floor."""
         api = self.api
-        half, place, colour = (1e-3,) * 3, HIDDEN_PLACE, (0.0, 0.0, 0.0)  # one without would be drawn as it collides
+        half, place, colour = (1e-3,) * 3, HIDDEN_PLACE, (0.0, 0.0, 0.0)  # needed: else it shows collisions
         if self._window:
             spacing, _, _ = GRIDS[-1]
             lines = [level / 255 for level in GRID_COLOUR]

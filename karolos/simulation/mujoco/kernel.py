@@ -1,7 +1,7 @@
 """A control step in compiled code: MuJoCo's physics steps, with the law of contacts and motors in each of them.
 
-MuJoCo solves for the accelerations a that minimise a cost of a - aref, where aref and the compliance R of every row are
-known between the two halves of a physics step. Here both are written there. Only compiled code is fast enough for that:
+MuJoCo solves for the accelerations a that minimise a cost of a - aref. Between the two halves of a physics step, aref
+and the compliance R of every row are known, and this module changes them. Only compiled code is fast enough for that:
 numba compiles it, without a compiler on the machine, and `compiled` keeps it on disk.
 """
 
@@ -26,7 +26,7 @@ from ...core.compiled import compiled, machine_code
 from ...errors import MachineError
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
-"""Bytes of the types in MuJoCo's structures; all others that are no structures have 8."""
+"""Bytes of the types in MuJoCo's structures. All other types that are not structures have 8."""
 FIELDS = (
     *("ncon", "ne", "nisland", "contact", "efc_vel", "efc_aref", "efc_R", "efc_D", "efc_force"),
     *("map_efc2iefc", "iefc_R", "iefc_D"),
@@ -37,23 +37,24 @@ CONTACT_FIELDS = ("dist", "friction", "geom1", "geom2", "efc_address", "pos", "f
 OFFSETS = np.dtype([(name, np.int64) for name in (*FIELDS, *CONTACT_FIELDS, "contact_size")])
 """Offsets of these fields in MuJoCo's data and in a contact, by MuJoCo's names, and the size of a contact, in bytes."""
 STICKING = 5.0
-"""m/s2; friction stops what slides slower than this times a physics step, so that nothing is to be corrected."""
+"""m/s2. Friction stops bodies that slide slower than this times a physics step, and no correction is needed."""
 STOPPING = 1.7
-"""Share of the speed of sliding that friction takes in a physics step. Where bodies stick, that speed is due to their
-turning since the step before, and goes on: with 1 a held cube drifts outwards in a swing, with 2 it would tremble."""
+"""Share of the sliding speed that friction removes in a physics step. If bodies stick, this speed comes from their turn
+since the step before, and continues. With 1 a held cube drifts outwards in a swing, with 2 it would tremble."""
 SLOWEST_BOUNCE = 0.1
-"""m/s; slower than that nothing bounces."""
+"""Smallest speed in m/s at which bodies bounce."""
 POSTURE_STIFFNESS, POSTURE_DAMPING = 10.0, 5.0
-"""N m/rad and N m s/rad, with which a redundant arm on a spring returns to its home pose, unfelt by the tool."""
+"""Stiffness in N m/rad and damping in N m s/rad with which a redundant arm on a spring returns to its home pose. The
+tool does not feel it."""
 BRAKING = 0.05
-"""Share of its largest speed by which a joint is faster when it is braked with its largest torque."""
+"""Excess speed, as a share of the largest speed, at which a joint is braked with its largest torque."""
 SINGULAR = 1e-6
 """Added to J J^T, whose inverse is needed, in m2."""
 SEALED = 0.002
-"""m from a surface within which a point of a cup's lip seals: soft lips reach over small gaps."""
+"""Largest distance in m from a surface at which a point of a cup's lip seals: soft lips bridge small gaps."""
 
 MOST_JOINTS = 12
-"""Of an arm."""
+"""Row of an arm's tool."""
 TOOL = np.dtype(
     [
         ("body", np.int64),  # the last link, which carries the tool
@@ -67,9 +68,9 @@ TOOL = np.dtype(
         ("speeds", np.float64, MOST_JOINTS),  # largest ones in rad/s
         ("home", np.float64, MOST_JOINTS),  # in rad
         ("spring", np.float64, 4),  # stiffness, N/m and N m/rad; largest error, m and rad; 0 N/m: there is no spring
-        ("felt", np.float64),  # share of the arm's inertia that is felt
+        ("felt", np.float64),  # share of the arm's inertia that the tool feels
         ("damping", np.float64, (6, 6)),  # along and about the world's axes, N s/m, N m s/rad and mixed
-        ("aim", np.float64, 13),  # set point at the begin of the control step, m, quaternion; its velocity, m/s, rad/s
+        ("aim", np.float64, 13),  # set point at the start of the control step, m, quaternion; its velocity, m/s, rad/s
         ("share", np.float64),  # fraction of a new wrench that the low-pass takes in a physics step
         ("torques", np.float64, MOST_JOINTS),  # written: of the spring in the last physics step, N m
         ("added", np.float64, (MOST_JOINTS, MOST_JOINTS)),  # written: what was added to the inertia
@@ -80,7 +81,7 @@ TOOL = np.dtype(
         ("held", np.int64),  # written: the body that it holds; -1: none
     ]
 )
-"""What the kernel knows of an arm's tool. Quaternions are w x y z as MuJoCo's."""
+"""The kernel's data of an arm's tool. Quaternions are w x y z as in MuJoCo."""
 
 
 def _measure(struct: str) -> tuple[int, int, dict[str, int]]:
@@ -99,9 +100,9 @@ def _measure(struct: str) -> tuple[int, int, dict[str, int]]:
 
 
 def layout(data: Any) -> NDArray[np.void]:
-    """Where the kernel finds what it needs: `OFFSETS`, (1,).
+    """Places of the data that the kernel needs: `OFFSETS`, (1,).
 
-    Raises MachineError where this version of MuJoCo lays out its data otherwise than it says.
+    Raises MachineError if this version of MuJoCo lays out its data differently from its documentation.
     """
     offsets = _measure("mjData")[2]
     size, _, contact = _measure("mjContact")
@@ -127,7 +128,7 @@ def _loader(kind: Any) -> Any:
 
 
 def _storer(typing: Any, address: Any, value: Any) -> Any:  # noqa: ARG001
-    """How a number is written to an address."""
+    """A function that writes a number to an address."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:  # noqa: ARG001
         builder.store(arguments[1], builder.inttoptr(arguments[0], ir.DoubleType().as_pointer()))
@@ -186,7 +187,7 @@ def _touch(data, at, contact, row, h, material):
 
 @compiled
 def _weigh(data, at, bodies, forces, peaks, largest):
-    """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody): zeros, as afterwards."""
+    """Raise both maxima to the normal forces between each two bodies. `forces` (nbody, nbody) is 0 before and after."""
     force, first = _address(data + at.efc_force), _address(data + at.contact)
     last = first + at.contact_size * _integer(data + at.ncon)
     for contact in range(first, last, at.contact_size):
@@ -214,7 +215,7 @@ def _product(a, b, out):
 
 @compiled
 def _locate(data, at, tool, pose, turn):
-    """Where a tool is: its position and quaternion into `pose` (7,), its rotation matrix into `turn` (3, 3)."""
+    """Write a tool's position and quaternion into `pose` (7,), and its rotation matrix into `turn` (3, 3)."""
     place, matrix = _address(data + at.xpos) + 24 * tool.body, _address(data + at.xmat) + 72 * tool.body
     quaternion = _address(data + at.xquat) + 32 * tool.body
     for axis in range(4):
@@ -232,7 +233,7 @@ def _locate(data, at, tool, pose, turn):
 
 @compiled
 def _miss(aim, time, pose, error):
-    """The way from a tool's pose to its set point after so many s: m, then a rotation vector in rad, into (6,)."""
+    """Write the way from a tool's pose to its set point after this time (s): m, then a rotation vector in rad: (6,)."""
     spin = np.sqrt(aim[10] ** 2 + aim[11] ** 2 + aim[12] ** 2)
     share = np.sin(spin * time / 2) / spin if spin > 0 else 0.0
     moved, back = np.empty(4), np.empty(4)
@@ -251,15 +252,15 @@ def _miss(aim, time, pose, error):
 
 @compiled
 def _pull(model, data, at, h, positions, velocities, tool, time):
-    """Put the torques of a tool's spring and damper into MuJoCo's data, and what makes them implicit into its inertia.
+    """Write the torques of a tool's spring and damper into MuJoCo's data, and their implicit terms into its inertia.
 
     At the end of the step, where v' = v + h a, F = K e - D v is K e - (D + h K) v - h (D + h K) a. The first two terms
     are a force; the last one, in the joints h J^T (D + h K) J, is added to the inertia, so that contacts feel it, too.
-    Without it a stiff spring would be unstable: light wrists swing within two physics steps. Of a heavy arm's inertia a
-    part is taken away there: its motors move that part as its acceleration asks, which their torques include.
+    Without it a stiff spring would be unstable: light wrists swing within two physics steps. A part of a heavy arm's
+    inertia is subtracted: the motors move that part by its acceleration, and their torques include it.
 
-    The set point runs ahead by the way that damping would keep the tool behind. All of the error is then clipped, so
-    that whatever the set point does, a tool at rest presses with K times the limit at the most.
+    The set point runs ahead by the distance that damping would delay the tool. The whole error is then clipped, so that
+    a tool at rest presses with at most K times the limit, for any motion of the set point.
     """
     n, spring = tool.size, tool.spring
     pose, turn, error = np.empty(7), np.empty((3, 3)), np.empty(6)
@@ -281,7 +282,7 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
     damping, force, ahead = tool.damping.copy(), np.zeros(6), np.zeros(6)
     for i in range(6):
         damping[i, i] += h * spring[i // 3]
-    for i in range(6):  # of its speed, what damping does not need more force for than there may be
+    for i in range(6):  # its speed, limited so that damping needs at most the allowed force
         half = i // 3
         speed = np.sqrt(tool.aim[7 + 3 * half] ** 2 + tool.aim[8 + 3 * half] ** 2 + tool.aim[9 + 3 * half] ** 2)
         most = spring[half] * spring[2 + half] / damping[i, i]
@@ -331,7 +332,7 @@ def _pull(model, data, at, h, positions, velocities, tool, time):
 
 @compiled
 def _resist(data, at, tool, loads):
-    """Complete the torques of a spring by what was added to the inertia, and raise the largest ones."""
+    """Complete the torques of a spring by the part that was added to the inertia, and update the largest ones."""
     acceleration = _address(data + at.qacc)
     for j in range(tool.size):
         for k in range(tool.size):
@@ -341,7 +342,7 @@ def _resist(data, at, tool, loads):
 
 @compiled
 def _keep_posture(h, positions, tool, jacobian, speeds):
-    """Add springs and dampers towards the home pose in the joints, less what the tool would feel of them."""
+    """Add springs and dampers towards the home pose in the joints, without the part that the tool would feel."""
     n = tool.size
     square, free = np.empty((6, 6)), jacobian.copy()
     for i in range(6):
@@ -374,7 +375,7 @@ def _keep_posture(h, positions, tool, jacobian, speeds):
 
 @compiled
 def _feel(data, at, tools, hands, felt, turn, pose, own):
-    """Low-pass what contacts do to the hands: force in N and torque in N m at the tool, in its frame.
+    """Low-pass the wrench of contacts on the hands: force in N and torque in N m at the tool, in its frame.
 
     `felt` (r, 6), `turn` (3, 3), `pose` (7,) and `own` (6,) are overwritten.
     """
@@ -420,7 +421,7 @@ def _feel(data, at, tools, hands, felt, turn, pose, own):
 
 @compiled
 def _suck(data, at, on, row, tool, hands, lips, bodies, count):
-    """Let the suction of a cup press the body that its whole lip seals on, and the lip, together."""
+    """Press a cup's lip and the body on which the whole lip seals together, by the force of the suction."""
     pull, centres = _address(data + at.xfrc_applied), _address(data + at.xipos)
     if tool.held >= 0:
         for place in range(0, 48, 8):
@@ -466,11 +467,11 @@ class Driven(NamedTuple):
     """The m motors of a world."""
 
     rows: NDArray[np.int64]
-    """Of each motor among the constraints after those of equality: (m,); -1 without force."""
+    """Row of each motor among the constraints after those of equality: (m,); -1 without force."""
     targets: FloatArray
     """Speed that a motor reaches in each physics step, or position that it moves to: (n, m)."""
     gains: FloatArray
-    """0 for a target speed, else the speed in 1/s by which a motor closes the distance to its position: (m,)."""
+    """0 for a target speed, else the rate in 1/s at which a motor closes the distance to its position: (m,)."""
     most: FloatArray
     """Largest speed of a motor with a gain: (m,)."""
     rates: FloatArray
@@ -480,16 +481,16 @@ class Driven(NamedTuple):
 
 
 class Touching(NamedTuple):
-    """What bodies are to each other where they touch."""
+    """Contact properties of bodies."""
 
     material: FloatArray
     """Compliance in m/N, damping in N s/m and restitution of each geom: (ngeom, 3)."""
     bodies: NDArray[np.int32]
-    """Of each geom."""
+    """Body of each geom."""
     peaks: FloatArray
     """Written: the largest normal force in N between each two bodies in any of the steps: (nbody, nbody)."""
     largest: FloatArray
-    """Raised to the peaks."""
+    """Updated to the largest values."""
 
 
 class Hands(NamedTuple):
@@ -507,12 +508,12 @@ class Hands(NamedTuple):
 def advance(model, data, layout, h, positions, velocities, driven, touching, loads, carried, springs, suction):
     """Take a physics step of h seconds for each row of `targets`.
 
-    Positions are half a step ahead of the velocities meanwhile (leapfrog): a pendulum keeps its energy, and a body in
-    flight follows its parabola.
+    During the step positions are half a step ahead of the velocities (leapfrog): a pendulum keeps its energy, and a
+    body in flight follows its parabola.
 
-    A contact is a spring and damper, implicit in time. Before two bodies touch, it brakes what would go through the
-    other within the step. MuJoCo's convex friction also pushes sliding bodies apart, by the friction coefficient times
-    the speed of sliding. That speed is taken from the target, which makes friction that of Coulomb (de Saxce's
+    A contact is a spring and damper, implicit in time. Before two bodies touch, it brakes them if one would go through
+    the other within the step. MuJoCo's convex friction also pushes sliding bodies apart, by the friction coefficient
+    times the sliding speed. This speed is subtracted from the target, which gives Coulomb's friction (de Saxce's
     correction: Acary and Brogliato 2008, Numerical Methods for Nonsmooth Dynamical Systems, 3.9).
 
     Args:
@@ -523,8 +524,8 @@ def advance(model, data, layout, h, positions, velocities, driven, touching, loa
         touching: `Touching`.
         loads: raised to the largest speed, acceleration and torque of each motor's joint: (3, nv).
         carried: `Hands`.
-        springs: rows of the tools on a spring; None: there is none, and what it needs is not compiled.
-        suction: whether the cup of each tool sucks in each physics step: (r, n); None likewise.
+        springs: rows of the tools on a spring; None: no springs, and their code is not compiled.
+        suction: whether the cup of each tool sucks in each physics step: (r, n); None: no cups, likewise.
     """
     at = layout[0]
     motors, targets, gains, most, rates, places = driven

@@ -13,24 +13,24 @@ from ..interface import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, Jo
 from .simulation import MujocoBody, Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
-"""`solimp` of a motor: it reaches its target speed unless its torque does not allow it."""
+"""`solimp` of a motor: it reaches its target speed if its torque allows it."""
 HEAVIEST_TOOL = 15.0
-"""Largest mass in kg of a tool on a spring, in any direction at home, as a UR10's has. Controllers of heavier arms let
-them feel lighter, by the force that they measure at the wrist: in contact nothing else is gentle."""
+"""Largest effective mass in kg of a tool on a spring, in any direction at home; a UR10's value. Controllers of heavier
+arms reduce the effective mass by the force measured at the wrist, because contacts would not be gentle otherwise."""
 LEAST_FORCE = 1e-9
-"""N or N m: friction of a joint without friction."""
+"""Friction in N or N m of a joint without friction."""
 
 
 class MujocoMotors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
-    MuJoCo has this constraint as dry friction, with the target speed 0: the kernel writes the acceleration that the
-    constraint asks for. An actuator with a large gain would chatter at its largest force, and is solved apart from the
-    contacts.
+    MuJoCo has this constraint as dry friction, with the target speed 0. The kernel writes the acceleration that the
+    constraint asks for. An actuator with a large gain would chatter at its largest force, and would be solved
+    separately from the contacts.
 
     Attributes:
         targets: speed of each joint of the arm in rad/s, then position of each finger in m, per physics step (n, m).
-        gains: 0 for joints of the arm; speed in 1/s by which a finger closes its distance.
+        gains: 0 for joints of the arm; rate in 1/s at which a finger closes its distance.
         most: largest speed of a finger in m/s.
         rates: fraction of a difference from its speed that a motor removes per s.
         places: position and velocity of each joint in MuJoCo's data (m, 2).
@@ -39,7 +39,7 @@ class MujocoMotors:
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
         tool: frame of the tool in the last link; None for an arm without.
-        cup: at the tool, instead of fingers.
+        cup: at the tool, replaces fingers.
     """
 
     def __init__(
@@ -174,7 +174,7 @@ class MujocoMotors:
     def _write_spring(self, spring: Spring) -> None:
         """D = z (M^(1/2) K^(1/2) + K^(1/2) M^(1/2)): Albu-Schaeffer et al. 2003, Cartesian Impedance Control.
 
-        Where a hand is light, D is raised until the largest torque turns it no faster than the slowest joint turns.
+        For a light hand, D is raised until the largest torque turns it no faster than the slowest joint.
         """
         self._row["spring"] = spring.stiffness, spring.turn_stiffness, spring.error, spring.turn_error
         half = self._root * np.sqrt([spring.stiffness] * 3 + [spring.turn_stiffness] * 3)
@@ -285,7 +285,7 @@ class Passive:
         model.dof_armature[dofs] = self._simulation.timestep * damping  # implicit, as in `Motors`
 
     def drive(self, joint: int, speed: float, force: float) -> None:
-        """Let a joint go at a speed (per s) with at most this force (N or N m)."""
+        """Drive a joint at a speed (per s) with at most this force (N or N m)."""
         self.targets[:, self._order[joint]] = speed
         self._forces[self._order[joint]] = force
         self._simulation.reparametrise()

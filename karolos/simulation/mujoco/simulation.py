@@ -1,4 +1,4 @@
-"""A MuJoCo model with its state, compiled when its structure changed, and the bodies in it."""
+"""A MuJoCo model with its state and bodies. It is compiled after its structure has changed."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from ..geometry import UPRIGHT, Quaternion, Vector
 from ..interface import GRAVITY, OBJECT_MATERIAL, LinkState, Material
 
 IMPEDANCE_RATIO = 100.0
-"""Ratio of the stiffness of friction to that of the normal direction; a held object creeps less the larger it is."""
+"""Ratio of the stiffness of friction to that of the normal direction. With a larger one a held object creeps less."""
 JOINT_IMPEDANCE = (0.99, 0.995, 0.001, 0.5, 2.0)
 """`solimp` of joint limits and the coupling of fingers."""
 SMALLEST_MOBILITY = 1e-3
-"""1/kg and 1/(kg m2) of a tool along a direction in which its arm cannot move it."""
+"""Inverse mass in 1/kg and inverse inertia in 1/(kg m2) of a tool in a direction in which its arm cannot move it."""
 OLDEST_VERSION = 4_000_001
 """The oldest version that works, 4.0.1."""
 _IMPORTING = Lock()
@@ -46,9 +46,9 @@ def _mujoco() -> Any:
 
 
 class Simulation:
-    """MuJoCo compiles a model before it simulates. Here it is compiled at the first use after a change of structure.
+    """A model that is compiled at its first use after a change of structure. MuJoCo compiles before it simulates.
 
-    A state survives that. Parameters are written into the model at the first use after one has changed.
+    The state survives. Parameters are written into the model at the first use after a change.
 
     Constraints and integrator see the same inertia: joint damping is made implicit by `Motors`, and MuJoCo's own
     implicit damping is off. With `implicitfast`, pads would slip.
@@ -60,7 +60,7 @@ class Simulation:
         write: writes the parameters of these parts into the model.
 
     Attributes:
-        parts: bodies and motors. After a compilation each finds its places in the model; then it writes its parameters,
+        parts: bodies and motors. After a compilation each finds its places in the model. Then it writes its parameters,
             starting from the masses and inertias of the structure.
     """
 
@@ -89,14 +89,14 @@ class Simulation:
         option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
         option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
         self._declare, self._write = declare, write
-        self._kernel = import_module(".kernel", __package__)  # heavy, so not before a world is built
+        self._kernel = import_module(".kernel", __package__)  # heavy, so it is imported when a world is built
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
         self._advance: Callable[..., None] | None = None
         """The machine code of `kernel.advance` for this structure, from its first call on."""
         self.stepped = False
-        """Whether forces and contacts are known: no state was written since they were computed."""
+        """Whether forces and contacts are valid: no state was written since they were computed."""
         self.material: Any = None
         """Compliance (m/N), damping (N s/m) and restitution of each geom: (ngeom, 3)."""
         self.peaks: Any = None
@@ -125,7 +125,7 @@ class Simulation:
     def writable(self) -> Any:
         """MuJoCo's data before a state is written.
 
-        Contacts and the solver's warm start are forgotten, so that an episode repeats bit for bit in a used world.
+        Contacts and the solver's warm start are reset, so that an episode repeats bit for bit in a used world.
         """
         data = self.ready()
         data.qacc_warmstart[:] = 0.0
@@ -256,7 +256,7 @@ class MujocoBody:
         self.materials = [OBJECT_MATERIAL if free else Material()] * len(names)
         self.inertias: dict[int, tuple[float, Vector]] = {}
         self.pairs: set[tuple[int, int]] = set()
-        """Links that collide with each other."""
+        """Pairs of links that collide with each other."""
         self.passive_joints: dict[str, int] = {}
         """Joints of a mechanism by name; `passive` moves them."""
         self.passive: Any = None

@@ -44,21 +44,21 @@ from .motors import MujocoMotors, Passive
 from .simulation import JOINT_IMPEDANCE, MujocoBody, Simulation
 
 MARGIN = 0.005
-"""m between two bodies within which a contact is looked for: one that comes nearer by more in a physics step is noticed
-when it is inside the other."""
+"""Distance in m between two bodies below which contacts are searched. A body that moves further in a physics step is
+noticed only inside the other one."""
 
 
 class MujocoWorld:
     """Implements `interface.World`.
 
-    Contacts have the product of the friction coefficients of both bodies, as with PyBullet. Therefore every pair of
-    shapes that may touch is declared; MuJoCo by itself would take the larger coefficient.
+    Contacts have the product of the friction coefficients of both bodies, as in PyBullet. Therefore every pair of
+    shapes that may touch is declared; MuJoCo alone would use the larger coefficient.
 
     Args:
         substeps: physics steps per control step.
         rate: physics steps per second.
 
-    Raises UsageError when a window is requested: there is none.
+    Raises UsageError if a window is requested, because there is none.
     """
 
     def __init__(
@@ -80,7 +80,7 @@ class MujocoWorld:
         self._markers: list[tuple[MujocoBody, float, Colour]] = []
         self._renderers: dict[tuple[int, int], Renderer] = {}
         self._shown: Any = None
-        """MuJoCo's data of pictures, so that they leave the simulation as it is."""
+        """MuJoCo's data for pictures, so that these do not change the simulation."""
         self._pictured: Any = None
         """Positions of joints and bodies in the last picture of a present state: (nq,)."""
         self._spec.visual.headlight.active = 0
@@ -156,7 +156,7 @@ class MujocoWorld:
         return self._add(names, shapes, free=free)
 
     def _shapes(self, body: Any, prefix: str) -> Iterator[str]:
-        """Name the geoms of a URDF's link that collide. They are shown only if the link has no others."""
+        """Name the collision geoms of a URDF's link. They are shown only if the link has no other geoms."""
         geoms = body.geoms
         visible = any(not geom.contype for geom in geoms)
         for place, geom in enumerate(geoms):
@@ -301,12 +301,12 @@ class MujocoWorld:
 
     def _declare_pairs(self) -> None:
         """Declare every pair of shapes that may touch."""
-        self.close()  # renderers are of the model before
+        self.close()  # renderers belong to the old model
         for pair in self._spec.pairs:
             self._spec.delete(pair)
         for one, other in combinations(self._bodies, 2):
             for first, second in product(range(-1, len(one.shapes) - 1), range(-1, len(other.shapes) - 1)):
-                if one.free or other.free or first >= 0 or second >= 0:  # something of the two moves
+                if one.free or other.free or first >= 0 or second >= 0:  # one of the two moves
                     self._pair(one, first, other, second)
         for body in self._bodies:
             for first, second in body.pairs:
@@ -324,7 +324,7 @@ class MujocoWorld:
 
 
 def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
-    """A copy of a URDF as MuJoCo reads it, and its meshes by the names that they have there."""
+    """A copy of a URDF in a form for MuJoCo, and its meshes by their names in it."""
     robot = copy.deepcopy(robot)
     keep = {"discardvisual": "false", "fusestatic": "false", "balanceinertia": "true", "strippath": "false"}
     ElementTree.SubElement(ElementTree.SubElement(robot, "mujoco"), "compiler", keep)
@@ -332,6 +332,8 @@ def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
         for key in ("name", "link"):  # a link "world" would become MuJoCo's own
             if element.get(key) == "world":
                 element.set(key, "world link")
+        if element.tag == "color":  # pictures leave translucent bodies out
+            element.set("rgba", " ".join([*element.get("rgba", "").split()[:3], "1"]))
     meshes = {}
     for number, mesh in enumerate(robot.iter("mesh")):
         meshes[f"{number}.stl"] = stl(triangles(Path(mesh.get("filename", ""))))
@@ -371,7 +373,7 @@ class Renderer:
         edge = eye.near * np.tan(np.radians(eye.field_of_view) / 2)
         for camera in self._scene.camera:  # of both eyes
             camera.pos, camera.forward, camera.up = eye.origin, eye.ahead, eye.up
-            camera.frustum_center, camera.frustum_width = 0.0, 0.0  # 0: as the picture's sides demand
+            camera.frustum_center, camera.frustum_width = 0.0, 0.0  # 0: follows from the picture's sides
             camera.frustum_bottom, camera.frustum_top = -edge, edge
             camera.frustum_near, camera.frustum_far = eye.near, eye.far
         area = api.MjrRect(0, 0, width, height)
@@ -400,6 +402,6 @@ def _context(width: int, height: int) -> Any:
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
     raise MachineError(
-        f"MuJoCo finds no OpenGL to draw with ({'; '.join(problems)})",
+        f"MuJoCo finds no OpenGL for pictures ({'; '.join(problems)})",
         hint=RENDERER_HINT,
     )

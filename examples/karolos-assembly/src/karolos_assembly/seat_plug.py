@@ -18,6 +18,7 @@ from karolos.tasks.cube import aligned, check_pads
 from karolos.tasks.pose_goal import PoseGoal, pose_array, pose_fields
 
 PARTS = Path(__file__).parent / "parts"
+PLUG = (Mesh(PARTS / "plug.stl", scale=0.001),)  # the file is in millimetres
 WIDTH, GRIP, PLASTIC = 0.016, 0.05, 1200.0
 """Of the plug between the pads and of the tool above its tip, in m; kg/m3."""
 FLOOR, TOP = 0.005, 0.03
@@ -52,12 +53,12 @@ class SeatPlug(Task):
 
     def fit(self, robot: RobotView) -> None:
         self.robot, self.opening = robot, WIDTH / check_pads(robot, "SeatPlug", "holds a plug").width
+        self.held_mass = PLASTIC * volume_of(PLUG)
         self.goal_rule = PoseGoal(self.settings.threshold, 0.1, dense=False, span=1.0)
         self.goal = pose_array((0.0, 0.0, 0.0), UPRIGHT)
 
     def build(self, world: World) -> None:
-        plug = [Mesh(PARTS / "plug.stl", scale=0.001)]  # the file is in millimetres
-        self.plug = world.body(plug, PLASTIC * volume_of(plug), (0.93, 0.45, 0.13, 1.0))
+        self.plug = world.body(PLUG, self.held_mass, (0.93, 0.45, 0.13, 1.0))
         self.jig = world.load(PARTS / "jig.urdf")
         self.jig.set_friction(0.3)  # greased: the plug slides off the rim
 

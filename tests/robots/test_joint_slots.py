@@ -1,0 +1,83 @@
+"""Joint control for arms of several numbers of joints: what a policy is told of each joint."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from support.rig import made
+
+from karolos.buffers.augmentation import Augmentation
+from karolos.core import Step
+from karolos.core.experience import transition_layout
+from karolos.environments.build import Facts
+from karolos.environments.robot_task import RobotTask
+from karolos.errors import UsageError
+from karolos.robots.arm import Arm
+
+SLOTS = {"control": "joint", "joint_slots": 8, "observe": ["rotation"]}
+
+
+def arm_task(robot: str, **arm: Any) -> tuple[RobotTask, Arm]:
+    environment = made("reach_pose", robot, arm={**SLOTS, **arm})
+    assert isinstance(environment.robot, Arm)
+    return environment, environment.robot
+
+
+def test_arms_of_six_and_seven_joints_are_told_in_one_layout() -> None:
+    (panda, seven), (ur5, six) = arm_task("panda"), arm_task("ur5")
+    assert (seven.chain.size, six.chain.size) == (7, 6)
+    trained, here = Facts.of(panda), Facts.of(ur5)
+    assert here.differences(trained) == []
+    layout, step = ur5.signature.observation, ur5.reset(0)
+    for name in ("joint_effects", "joint_rooms", "joint_speeds", "joint_accelerations"):
+        rows = step.observation[layout.slice(name)].reshape(8, -1)
+        assert not rows[6:].any()
+    assert step.observation[layout.slice("joint_effects")].reshape(8, 6)[:6].any(1).all()
+
+
+def test_effects_of_an_action_say_where_the_tool_goes() -> None:
+    environment, arm = arm_task("panda", acceleration=None)
+    layout = environment.signature.observation
+    step = environment.reset(0)
+
+    def told(name: str, one: Step) -> np.ndarray:
+        return one.observation[layout.slice(name)]
+
+    action = 0.2 * np.random.default_rng(0).uniform(-1, 1, 8).astype(np.float32)
+    before = told("tool_position", step)
+    for _ in range(2):  # in the second one the speed is steady
+        effects = told("joint_effects", step).reshape(8, 6)
+        before, step = told("tool_position", step), environment.step(action)
+    moved = told("tool_position", step) - before
+    assert np.linalg.norm(moved - action @ effects[:, :3]) < 0.1 * np.linalg.norm(moved)
+    shares = np.array(arm.joint_velocities) * arm.period / arm.joint_step
+    np.testing.assert_allclose(told("joint_speeds", step)[:7], shares, atol=1e-6)
+    rooms = told("joint_rooms", step).reshape(8, 2)[:7] * np.array(arm.joint_step)[:, None]
+    at, low, high = (np.array(one) for one in (arm.joint_positions, arm.limits.lower, arm.limits.upper))
+    near = rooms < 0.99 * 10 * np.array(arm.joint_step)[:, None]
+    np.testing.assert_allclose(rooms[near], np.column_stack((at - low, high - at))[near], atol=1e-5)
+
+
+def test_actions_of_missing_joints_do_nothing_and_the_expert_gives_none() -> None:
+    (first, _), (second, _) = arm_task("ur5"), arm_task("ur5")
+    first.reset(0), second.reset(0)
+    action = first.expert().act()
+    assert action.shape == (8,)
+    assert not action[6:].any()
+    other = action.copy()
+    other[6:] = 1.0
+    np.testing.assert_array_equal(first.step(action).observation, second.step(other).observation)
+
+
+def test_an_arm_with_more_joints_than_places_is_refused() -> None:
+    with pytest.raises(UsageError, match="this arm has 7 joints"):
+        arm_task("panda", joint_slots=6)
+
+
+def test_a_mirror_changes_what_joints_do_to_the_tool_and_no_action() -> None:
+    signature = arm_task("panda")[0].signature
+    signs = Augmentation(Augmentation.Settings(), signature)._signs
+    layout = transition_layout(signature)
+    effects = signature.observation.slice("joint_effects")
+    assert signs[layout.slice("observation")][effects].tolist() == 8 * [1, -1, 1, -1, 1, -1]
+    assert signs[layout.slice("action")].tolist() == 8 * [1]
