@@ -144,11 +144,11 @@ def report_best(sweep: SweepRecord) -> None:
     if final is not None:
         for place, name in enumerate(sweep.objectives):
             tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
-            line = f"{name}: {tuned:.4g} on the seeds it was tuned on, {fresh:.4g} on {len(final.seeds)} fresh seeds "
-            line += "that it was chosen by"
+            line = f"{name}: {tuned:.4g} on the seeds of tuning, {fresh:.4g} on {len(final.seeds)} new seeds "
+            line += "of the choice"
             if final.reported is not None:
                 unused = final.reported[place]
-                line += f", {unused:.4g} on {len(final.report_seeds)} used for nothing else: gap {tuned - unused:+.4g}"
+                line += f", {unused:.4g} on {len(final.report_seeds)} held-out seeds: gap {tuned - unused:+.4g}"
             say(line)
     if path.is_file():
         say(f"`karolos run {path}` runs it; figures in {path.parent}")

@@ -205,7 +205,7 @@ def zero_shot(
     print_table(transfers_table([done], title=folder.id))
     if done.measures:
         print_table(measures_table(done.measures, "measures"))
-    unused = "" if seed is not None else ", on which no policy was chosen"
+    unused = "" if seed is not None else ", held out from training and choice"
     say(f"{done.episodes} episodes from seed {done.seed}{unused}")
 
 

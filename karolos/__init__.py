@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from .launchers.experiment import Experiment
     from .store.query import runs
 
-__version__ = "0.2.0"
+__version__ = "0.3.0"
 __all__ = ["Experiment", "load", "make", "runs"]
 
 _LAZY = {

@@ -59,7 +59,7 @@ USUAL_REACH = 0.5
 METRICS = {
     "zero_shot": TransferMetric(
         "Zero-shot success",
-        "the source's best policy on the target, on episodes of the final test, on which no policy was chosen; on the "
+        "the source's best policy on the target, in the held-out episodes of the final test; on the "
         "diagonal on its own variant",
     ),
     "retention": TransferMetric(

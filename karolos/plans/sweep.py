@@ -317,10 +317,10 @@ class Search(Plan):
         spec = self._for_report(self.spec, best, best_name(self.name), seeds)
         drawn = ", ".join(f"{key} = {value}" for key, value in best.drawn.items())
         comment = f"# Trial {best.number} of a sweep: {drawn}.\n"
-        phases = [(best.values, "the seeds it was tuned on", self.sweep.seeds)]
+        phases = [(best.values, "the seeds of tuning", self.sweep.seeds)]
         if final is not None:
-            phases.append((final.fresh[best.number], "the seeds it was chosen by", final.seeds))
-            phases.append((final.reported, "seeds used for nothing else", final.report_seeds))
+            phases.append((final.fresh[best.number], "the seeds of the choice", final.seeds))
+            phases.append((final.reported, "held-out seeds", final.report_seeds))
         for place, name in enumerate(self.sweep.objectives):
             for values, which, on in phases:
                 if values is not None:

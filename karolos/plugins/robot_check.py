@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tempfile
 from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
@@ -39,30 +38,23 @@ def check_file(
         yield {"kind": "wrong", **asdict(finding)}
     if repair.robot is None:
         return
-    with tempfile.TemporaryDirectory() as folder:
-        used = repaired or Path(folder, path.name).with_suffix(".urdf")
-        if repaired is not None or repair.findings:
-            repair.write(used)
-        else:
-            used = path
-        settings: dict[str, Any] = {"file": str(used), **known}
-        try:
-            found = proposal_of(FromFile.Settings.model_validate(settings))
-        except KarolosError as error:
-            yield {"kind": "wrong", **asdict(Finding(str(path), " ".join(str(error).splitlines())))}
-            return
-        for note in found.notes:
-            doubted = note.startswith("doubted: ")
-            yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
-        if found.model.tool_step:
-            settings["tool_step"] = found.model.tool_step
-        promised = cases(candidate("robots", "urdf", **settings), alone=True) if promises else ()
-        for case, problem in results(promised):
-            yield {
-                "kind": "promise",
-                "what": case.text,
-                "promise": str(case),
-                "kept": problem is None,
-                "problem": problem,
-            }
-        yield {"kind": "picture", "picture": picture("urdf", None, (960, 720), **settings)}
+    settings: dict[str, Any] = {"file": str(repaired or path), **known}
+    if repaired is not None:
+        repair.write(repaired)
+    elif repair.findings:
+        settings |= {"repair": True, "mass": mass}
+    try:
+        found = proposal_of(FromFile.Settings.model_validate(settings))
+    except KarolosError as error:
+        yield {"kind": "wrong", **asdict(Finding(str(path), " ".join(str(error).splitlines())))}
+        return
+    for note in (one for one in found.notes if not one.startswith("repaired: ")):
+        doubted = note.startswith("doubted: ")
+        yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
+    if found.model.tool_step:
+        settings["tool_step"] = found.model.tool_step
+    promised = cases(candidate("robots", "urdf", **settings), alone=True) if promises else ()
+    for case, problem in results(promised):
+        kept = {"kept": problem is None, "problem": problem}
+        yield {"kind": "promise", "what": case.text, "promise": str(case), **kept}
+    yield {"kind": "picture", "picture": picture("urdf", None, (960, 720), **settings)}

@@ -459,7 +459,7 @@ def explanations(comparison: Comparison) -> list[str]:
 
 def _reported_test(final: Sequence[bool]) -> str:
     if all(final):
-        return "the last policy in the final test, on episodes that nothing was chosen on"
+        return "the last policy in the final test, in held-out episodes"
     return "the final test, or of the last test where a run has no final test" if any(final) else "the last test"
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import product
 from math import atan2, cos, pi, sin
@@ -28,10 +28,9 @@ HOME_SPEED = 0.8
 """Fraction of the joints' speeds that a full action may take at home."""
 SMALLEST_WORKSPACE = 0.04
 """Least edge of a workspace in m."""
-ENOUGH, MORE, LITTLE, LEAST = 0.85, 1.1, 0.3, 0.08
-"""Rooms: at which the search ends, by how much a later one must be better, below which an arm stands higher or lower,
-and below which the search goes to other heights and to the sides: policies that learned at one height are worse at half
-of it (UR3: picking .80, at the usual height 1.00)."""
+ENOUGH, MORE, LEAST = 0.85, 1.1, 0.05
+"""Rooms: at which the search ends, by how much a later one must be better, and below which it goes to other heights and
+to the sides: policies that learned at one height are worse at half of it (UR3: picking .80, at the usual 1.00)."""
 CONFIGURATIONS, DIFFERENT = 3, 0.5
 """Number of different poses with the same tool that are compared, and smallest difference of a joint in rad."""
 HOME_HEIGHT, HOME_SHARE = 0.2, 0.3
@@ -75,12 +74,14 @@ class Outline:
     Attributes:
         shapes: for each joint, points (k, 3) that span the parts it moves, in the frame of its link.
         fingers: the same of the fingers, in the frame of the last link.
+        base: the same of the base, in its frame.
         lowest: height in m of the tool above the floor at which the hand meets it.
         closing: direction in the tool's frame along which fingers close; None without fingers.
     """
 
     shapes: tuple[Array, ...]
     fingers: Array
+    base: Array
     lowest: float
     closing: tuple[float, float] | None = None
 
@@ -157,7 +158,7 @@ class Poses:
         found: list[tuple[float, list[float], float]] = []
 
         def look(start: Array, yaw: float) -> None:
-            pose = self._solved(start, target, yaw, self.rest, 60)
+            pose = self._led(start, downward(target, yaw), self.rest, 60)
             if self._reaches(pose, target):
                 distance = float(np.minimum(pose - self.low, self.high - pose).min())
                 elbow = max(self.chain.forward(pose.tolist()).axes[2::6]) / self.length
@@ -172,7 +173,7 @@ class Poses:
         homes: list[Array] = []
         for _, pose, yaw in sorted(found, reverse=True):
             if all(np.abs(np.subtract(pose, other))[:-1].max() > DIFFERENT for other in homes):
-                homes.append(self._solved(np.array(pose), target, yaw, self.rest, 500))
+                homes.append(self._led(np.array(pose), downward(target, yaw), self.rest, 500))
         for home in homes[:CONFIGURATIONS]:
             yield self._around(tuple(round(float(one), 4) + 0.0 for one in home), None)
 
@@ -217,25 +218,24 @@ class Poses:
             found.append(place + points @ turn.T)
         return found
 
-    def pairs(self, place: Place, base: Array) -> list[tuple[int, int]]:
-        """Pairs of links that can collide: one of the last three, and one that is not next to it; -1 is the base.
+    def pairs(self, poses: Iterable[Sequence[float]]) -> list[tuple[int, int]]:
+        """Pairs of links that are apart in all of these poses, and can collide elsewhere; -1 is the base.
 
-        Only pairs that are separate at home and at the corners of the workspace: too fat shapes would always touch.
-
-        Args:
-            place: the home pose and its workspace.
-            base: points (k, 3) that span the base's shapes, in its frame.
+        One of them is among the last three, and they are not next to each other. Shapes that are fatter than the links
+        touch always.
         """
-        *others, hand = self.body.shapes
-        shapes = [*others, np.vstack([hand, self.body.fingers])]
-        poses = [[*self._links(pose, shapes), base + self.chain.base] for pose in place.corners]
         last = len(self._joints) - 1
-        between = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]
-        return [(a, b) for a, b in between if all(_apart(links[a], links[b]) for links in poses)]
+        found = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]
+        for pose in poses:
+            found = self._apart(pose, found)
+        return found
 
-    def _solved(self, pose: Array, target: Vector, yaw: float, rest: Array, steps: int) -> Array:
-        """A pose (n,) near this one with the tool at `target`, pointing down, if inverse kinematics finds one."""
-        return self._led(pose, downward(target, yaw), rest, steps)
+    def _apart(self, pose: Sequence[float], pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
+        """Those of some pairs of links that are apart in a pose."""
+        *others, hand = self.body.shapes
+        links = self._links(pose, [*others, np.vstack([hand, self.body.fingers])])
+        links.append(self.body.base + self.chain.base)
+        return [(a, b) for a, b in pairs if _apart(links[a], links[b])]
 
     def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
@@ -309,10 +309,10 @@ class Poses:
     def _workspace(self, home: Sequence[float]) -> Box:
         """A box around home that actions reach with the tool, down to the floor if the arm gets there below home.
 
-        Its faces grow one after the other as long as actions reach their corners, their centres and the centres of
-        their edges.
+        No link that is apart from another at home touches it there. Its faces grow one after the other as long as
+        actions bring the tool to their corners and the centres of them and their edges.
         """
-        start = np.array(self.chain.forward(home).tool.position)
+        start, pairs = np.array(self.chain.forward(home).tool.position), self.pairs([home])
         most = self._largest(start)
         size = np.zeros((2, 3))
         for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
@@ -325,7 +325,8 @@ class Poses:
                     for sides in product((0.0, 1.0, 0.5), repeat=3):
                         if reached and sides[axis] == side:
                             place = start + larger[0] + np.array(sides) * (larger[1] - larger[0])
-                            reached = self._walked(home, place.tolist())[1]
+                            pose, reached = self._walked(home, place.tolist())
+                            reached = reached and self._apart(pose.tolist(), pairs) == pairs
                     if reached and most[side, axis]:
                         size = larger
                     else:

@@ -31,7 +31,7 @@ from .grippers.parallel import GripperModel
 from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange
 from .mounting import mounted
-from .poses import ENOUGH, LITTLE, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
+from .poses import ENOUGH, LEAST, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
 from .settings import ArmSettings
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -280,8 +280,8 @@ class _Site:
             lowest = FLOOR_CLEARANCE + max(float(((pads - tool[0]) @ turn[:, 2]).max()), 2 * FLOOR_CLEARANCE)
         x, y, _ = (turn.T @ across).tolist()
         shapes = tuple(spanning(points_of(description.robot, joint.child)) for joint in joints)
-        body = Outline(shapes, spanning(pads), lowest, (x, y) if across.any() else None)
-        self.base = spanning(points_of(robot, joints[0].parent))
+        base = spanning(points_of(robot, joints[0].parent))
+        body = Outline(shapes, spanning(pads), base, lowest, (x, y) if across.any() else None)
         self._made = joints, tool, body, USUAL_STEP
         self.poses, self.floor = Poses(*self._made), 0.0
 
@@ -289,13 +289,14 @@ class _Site:
     def place(self) -> Place | None:
         """Home and workspace above the floor; None if the tool cannot point down.
 
-        If an arm has little room with the floor at its base, the table is assumed to be lower or higher than the base.
+        An arm that has hardly any room in front of its base stands higher or lower than the table that it works on.
         """
         home, workspace = self._known.home, self._known.workspace
         if home is not None:
             return self.poses.at(home, workspace)
         found, first = self.poses.best(), self.poses
-        for share in SHOULDERS if found is None or found.room < LITTLE else ():
+        ahead = found is not None and found.room > LEAST and found.tool[0] > abs(found.tool[1])
+        for share in () if ahead else SHOULDERS:
             floor = round(first.shoulder - share * first.length, 2)
             poses = Poses(*self._made, floor)
             other = poses.best()
@@ -311,7 +312,7 @@ class _Site:
     @property
     def pairs(self) -> list[tuple[int, int]]:
         """Pairs of links that can collide, see `Poses.pairs`."""
-        return self.poses.pairs(self.place, self.base) if self.place is not None else []
+        return self.poses.pairs(self.place.corners) if self.place is not None else []
 
 
 def doubts(found: urdf.Description) -> list[str]:
@@ -469,13 +470,9 @@ def _flanges(
     The place is the frame that the user named, a frame with a usual name, the beginning of the file's own hand, or the
     end of the last link along its joint's axis. If shapes extend beyond it, the place is at their end.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in FLANGE_NAMES for one in frames if like.search(one) and one != last.child)
-    usual = {one: None for one in usual if not HAND_NAMES.search(one)}
+    usual = [one for one in _frames_like(found, last, FLANGE_NAMES) if not HAND_NAMES.search(one)]
     name = known.flange or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"no fixed joints connect it to {last.child}", where=f"link {name}")
-    axis, (place, turn) = np.array(last.axis), frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    axis, (place, turn) = np.array(last.axis), _frame_of(found, last, name)
     shapes, what = points_of(found.robot, last.child), f"the frame {name}"
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     ends = (shapes.min(0, initial=0.0) + shapes.max(0, initial=0.0)) / 2
@@ -494,6 +491,19 @@ def _flanges(
     yaws = (0.0, pi / 2) if known.flange_yaw is None else (known.flange_yaw,)
     made = (_rpy(frame @ urdf.about((0.0, 0.0, 1.0), yaw)) for yaw in yaws)
     return [(Flange(last.child, where, rpy), note) for rpy in made]
+
+
+def _frames_like(found: urdf.Description, last: Joint, names: Sequence[re.Pattern[str]]) -> list[str]:
+    """The frames on the last link of such names, the best first."""
+    frames = [name for name, one in found.carriers.items() if one == last.child != name]
+    return list(dict.fromkeys(one for like in names for one in frames if like.search(one)))
+
+
+def _frame_of(found: urdf.Description, last: Joint, name: str | None) -> tuple[Array, Array]:
+    """Position (3,) and rotation (3, 3) of a frame on the last link; None: of the link itself."""
+    if name is not None and found.carriers.get(name) != last.child:
+        raise PluginError(f"fixed joints do not hold it to {last.child}", where=f"link {name}")
+    return found.frames[name] if name is not None else (np.zeros(3), np.eye(3))
 
 
 def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: bool) -> Array:
@@ -568,12 +578,9 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     It is the frame that the user named, or a frame with a usual name between the fingers. Otherwise it is at the tips
     of the fingers, or at the end of the last link along its joint's axis.
     """
-    frames = {name: found.frames[name] for name, one in found.carriers.items() if one == last.child}
-    usual = dict.fromkeys(one for like in TOOL_NAMES for one in frames if like.search(one) and one != last.child)
+    usual = _frames_like(found, last, TOOL_NAMES)
     name = named or next(iter(usual), None)
-    if name is not None and name not in frames:
-        raise PluginError(f"no fixed joints connect it to {last.child}", where=f"{path}: link {name}")
-    place, turn = frames[name] if name is not None else (np.zeros(3), np.eye(3))
+    place, turn = _frame_of(found, last, name)
     tips, axis, shapes = hand.tips, np.array(last.axis), points_of(found.robot, last.child)
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))

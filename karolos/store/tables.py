@@ -31,7 +31,7 @@ A database of another version is refused. The run folders are the truth: `karolo
 enters what the folders hold.
 """
 OLDER_TABLES = ("experiments", "parameters", "versions", "tags", "trials", "sweeps")
-"""Tables of version 0.1 (schema 7) and 0.2 (schema 10) that this schema lacks."""
+"""Tables of version 0.1 (schema 7) and 0.2 (schemas 9 and 10) that this schema lacks."""
 TABLES = MetaData()
 SUMMARY_FIELDS = tuple(field.name for field in fields(RunSummary))
 _TYPES: dict[Any, TypeEngine[Any]] = {

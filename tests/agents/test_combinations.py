@@ -45,7 +45,8 @@ def spec_of(agent: str, buffer: dict[str, Any], environment: dict[str, Any] | No
     }
     training: dict[str, Any] = {"steps": 8_000}
     if agent != "ppo":
-        training = {"steps": 700, "batch_size": 64, "replay_ratio": 64, "warmup_episodes": 16}
+        steps = 450 if "hindsight" in buffer and environment is None else 700
+        training = {"steps": steps, "batch_size": 64, "replay_ratio": 64, "warmup_episodes": 16}
     return spec_from_dict(
         {
             "environment": environment or (BITS if agent == "dqn" else LINE),

@@ -30,29 +30,30 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     return found
 
 
-def test_starters_pass_their_tests_as_written(packages):
-    """Those of a robot and an agent, which take longest, are run by .ci/run in examples/; the text is the same."""
-    chosen = {kind: path for kind, path in packages.items() if kind not in ("robot", "agent")}
-    folders = [str(package / "tests") for package in chosen.values()]
-    sources = [package / "src" for package in chosen.values()]
-    ran = python("-m", "pytest", "-p", "no:cacheprovider", *folders, "-v", sources=sources, folder=packages["task"])
-    assert ran.returncode == 0, ran.stdout + ran.stderr
-    assert "skipped" not in ran.stdout
-    for kind in chosen:
-        assert f"test_{STARTERS[kind]}.py::test_it_is_found_by_its_entry_point PASSED" in ran.stdout
+def test_starters_pass_their_tests_as_written_and_the_command_line_finds_them(packages, tmp_path):
+    """Their tests, but those of a robot and an agent, which take longest and are run by .ci/run in examples/.
 
-
-def test_the_command_line_finds_starters_and_checks_them_without_a_line_changed_in_karolos(packages, tmp_path):
+    The text of these is the same. Not a line is changed in karolos.
+    """
     (tmp_path / "mine.yaml").write_text(
         "robot: desk_arm\ntask: my_task\nagent: my_agent\nbuffer: my_buffer\n"
         "randomization: {task.gravity: {name: my_distribution, low: -10.5, mode: -9.81, high: -9}}\n"
     )
-    commands = (["check", "mine.yaml"], ["plugins", "check", "environment", STARTERS["environment"]])
-    script = (
-        f"from karolos_cli.main import app\nfor words in {commands}:\n    assert not app(words, standalone_mode=False)"
-    )
+    tested = [kind for kind in packages if kind not in ("robot", "agent")]
+    commands = ["check", "mine.yaml"], ["plugins", "check", "environment", STARTERS["environment"]]
+    folders = ["-p", "no:cacheprovider", "-v", *(str(packages[kind] / "tests") for kind in tested)]
+    script = f"""
+import pytest
+from karolos_cli.main import app
+assert pytest.main({folders}) == 0
+for words in {commands}:
+    assert not app(words, standalone_mode=False)
+"""
     ran = python("-c", script, sources=[package / "src" for package in packages.values()], folder=tmp_path)
     assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert "skipped" not in ran.stdout
+    for kind in tested:
+        assert f"test_{STARTERS[kind]}.py::test_it_is_found_by_its_entry_point PASSED" in ran.stdout
     assert "BROKEN" not in ran.stdout
     assert "promises are kept" in ran.stderr
 

@@ -386,7 +386,10 @@ def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(
     assert about["experiment"] not in (short.description()["experiment"], whole.description()["experiment"])
     assert [test.steps for test in more.tests()] == [100, 200, 240, 300, 400]
     assert only(resume_run(short, url, ["training.steps=400"])).id == more.id
-    for override, words in (("agent.hidden=[8]", "settings that it began with"), ("training.steps=240", "has taken")):
+    for override, words in (
+        ("agent.hidden=[8]", "cannot change when a run is continued"),
+        ("training.steps=240", "has taken"),
+    ):
         with pytest.raises(UsageError, match=words):
             resume_run(short, url, [override])
     there = list(tmp_path.iterdir())

@@ -19,4 +19,4 @@ def test_the_card_of_a_policy_has_the_front_matter_of_the_hub(tmp_path: Path) ->
     assert (found["library_name"], model["name"], result["dataset"]["name"]) == ("karolos", "SAC", "panda pick_place")
     metrics = {one["type"]: one["value"] for one in result["metrics"]}
     assert metrics["success_end"] > 0.9
-    assert "in 1000 episodes on episodes that nothing was chosen on" in text
+    assert "in 1000 episodes (held out)" in text

@@ -50,13 +50,16 @@ def test_shipped_spec_fits_the_schema(path):
 GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place throw"}
 """The tasks of bases that set none."""
 GENERAL["sac_hindsight"] = GENERAL["ppo"]
+BESIDE = {"arms": "karolos:bases/pick.yaml, "}
+"""A transfer stands beside the base of a task."""
 
 
 @pytest.mark.parametrize("base", sorted(path.stem for path in SPECS.glob("bases/*.yaml")))
 def test_base_needs_nothing_but_a_robot_and_a_task(tmp_path, base):
     for task in GENERAL.get(base, "").split() or [None]:
         (tmp_path / "mine.yaml").write_text(
-            f"extends: karolos:bases/{base}.yaml\nrobot: panda\n{f'task: {task}' if task else ''}\n"
+            f"extends: [{BESIDE.get(base, '')}karolos:bases/{base}.yaml]\nrobot: panda\n"
+            f"{f'task: {task}' if task else ''}\n"
         )
         check_parts(load_spec(tmp_path / "mine.yaml"))
 

@@ -109,7 +109,7 @@ def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path: Path, monk
     assert warning.startswith("the tracker failed: ConnectionError: no route to the tracker (the run goes on; `karolos")
     monkeypatch.undo()
     code, _, said = call(app, "runs", "push", "@last", "--to", "mlfow", "--runs", str(tmp_path))
-    assert (code, "there are mlflow, wandb, trackio" in said) == (2, True)
+    assert (code, "choose mlflow, wandb, trackio" in said) == (2, True)
 
 
 def test_secrets_and_code_do_not_reach_a_tracker(tmp_path: Path) -> None:
