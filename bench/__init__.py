@@ -1,1 +1,1 @@
-"""Measurements next to other libraries, run from a checkout: `python -m bench NAME`. The package does not hold them."""
+"""Measurements next to other libraries, from a checkout: `python -m bench NAME`. Not part of the installed package."""

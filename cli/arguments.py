@@ -164,7 +164,7 @@ def chosen_checkpoint(folder: RunFolder, asked: Literal["best", "last"] | None) 
 
     if is_shipped(folder):
         if asked == "best":
-            say(f"{folder.id} ships without the checkpoint best: using last")
+            say(f"{folder.id} is shipped without the checkpoint best: using last")
         return "last"
     available = names(folder.checkpoints)
     if asked or "best" in available or "last" not in available:

@@ -144,7 +144,7 @@ def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | No
 
     if shipped := shipped_run(selector, store):
         if not selector.startswith(SHIPPED):
-            say(f"{selector}: the policy that ships, because the index of {runs} has no run of this name")
+            say(f"{selector}: the shipped policy, because the index of {runs} has no run of this name")
         return None, (shipped.summary(),)
     if is_run_folder(selector):
         with suppress(NoSuchRunError):

@@ -48,7 +48,7 @@ def list_plugins(
     unread = list(unreadable())
     sources(unread=unread)
     for problem in unread:
-        warn(f"{problem}; it does not count")
+        warn(f"{problem}; it is ignored")
     fields = ("name", "distribution", "version", "target")
     rows = [
         {"kind": singular(entry.kind), **{field: getattr(entry, field) for field in fields}}

@@ -132,7 +132,7 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
     total, digest, seen = 0, hashlib.sha256(), {str(one) for _, one in pending}
     for name, one in pending:  # which grows
         if len(pending) > MOST_FILES or total > MOST_BYTES:
-            notes.append(f"more than {MOST_FILES:,} files or {MOST_BYTES:,} bytes: its files do not count")
+            notes.append(f"more than {MOST_FILES:,} files or {MOST_BYTES:,} bytes: its files are ignored")
             return None
         content, others = "unread", tuple[str, ...]()
         try:

@@ -67,5 +67,5 @@ def test_a_run_of_another_spec_or_without_its_final_test_is_refused(tmp_path: Pa
     resolved["training"]["steps"] += 1
     (run / "resolved.json").write_text(json.dumps(resolved))
     (run / "final.jsonl").unlink()
-    with pytest.raises(KarolosError, match=r"no final test .* its spec is not the one that ships"):
+    with pytest.raises(KarolosError, match=r"no final test .* its spec is not the shipped one"):
         SCRIPT["add"](run)

@@ -319,7 +319,7 @@ def gallery(folder: Path) -> dict[str, str]:
     """An overview and a page for each pair of robot and task; figures are written into `folder`."""
     found = references.contenders()
     overview = (
-        "# Gallery\n\nThree arms with nine of ten tasks. Films show policies that ship with karolos. The numbers are "
+        "# Gallery\n\nThree arms with nine of ten tasks. Films show shipped policies. The numbers are "
         "success at the end of 1,000 held-out episodes, mean over the seeds of the "
         "[reference runs](../../results.md).\n\n"
     )
@@ -374,7 +374,7 @@ def _pair(robot: str, task: str, names: Sequence[str], found: dict[str, Contende
     policy = f"../../../karolos/records/shipped_runs/{film}"
     text = (
         f"# {robot}: {task}\n\n![{robot} {task}](../../films/{film}.gif)\n\n"
-        f"The film shows the policy `{film}` that ships with karolos, in test episodes of its run. `karolos play "
+        f"The film shows the shipped policy `{film}` in test episodes of its run. `karolos play "
         f"{film}` plays it. Files: [policy.npz]({policy}/policy.npz), [policy.json]({policy}/policy.json); sha256 "
         f"`{played_in(FILMS / f'{film}.gif')[:16]}`.\n\n"
     )

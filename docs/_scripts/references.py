@@ -98,11 +98,11 @@ def faults(folder: RunFolder) -> Iterator[str]:
         if _steps(path, changed) is None and (len(final) < 2 or final["last"].episodes < 1000):
             yield "it has no final test of last and best with 1,000 episodes"
         if spec_from_dict(record.spec).hash() != shipped_hash(path, changed):
-            yield "its spec is not the one that ships"
+            yield "its spec is not the shipped one"
         if _is_shipped(record.summary.name) and shipped_hash(path, changed) != shipped_hash(path, ()):
             yield f"its settings are changed, but it is called {record.summary.name}"
     except KarolosError as error:
-        yield f"its spec is not the one that ships: {error}"
+        yield f"its spec is not the shipped one: {error}"
 
 
 def add(path: Path) -> Path:
@@ -247,7 +247,7 @@ def transfer_faults(path: Path) -> Iterator[str]:
         variants = Matrix(load_spec(spec)).variants
         for label in variants:
             if spec_from_dict(_variant(path, label)).hash() != variants[label].hash():
-                yield f"the spec of {label} is not the one that ships"
+                yield f"the spec of {label} is not the shipped one"
     except (KarolosError, OSError) as error:
         yield str(error)
         return

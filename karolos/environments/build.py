@@ -173,7 +173,7 @@ def recipes(recipe: Recipe, names: Sequence[str]) -> dict[tuple[float, ...], Rec
     """The recipe with each combination of the values of these settings.
 
     Raises:
-        UsageError: a distribution is no list of values, a value is not allowed, or there are too many combinations.
+        UsageError: a distribution is not a list of values, a value is not allowed, or there are too many combinations.
     """
     distributions = dict(recipe.randomization)
     lists = []

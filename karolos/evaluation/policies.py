@@ -205,7 +205,7 @@ def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
     """
     spec, learned = spec_of(folder), read_learned(folder, name)
     if changed := provenance.edited(folder.description(), spec.files()):
-        warnings.warn(f"{folder.id} was made before {', '.join(changed)} was edited: results may differ", stacklevel=2)
+        warnings.warn(f"{', '.join(changed)} was edited after {folder.id} was made: results may differ", stacklevel=2)
     with used(environment_of(playable(spec))) as environment:
         facts = Facts.of(environment)
     agent: Agent = spec.agent.make(facts.signature, SeedTree(0), "cpu")
@@ -281,7 +281,7 @@ def _meant_spec(what: str, runs: str | Path, database: str | None) -> Spec:
             return spec_of(find_folder(what, store, runs))
         except NoSuchRunError as error:
             like = closest(what, shipped_specs())
-            hint = f"did you mean {like!r}, a spec that ships?" if like else error.hint
+            hint = f"did you mean {like!r}, a shipped spec?" if like else error.hint
             raise NoSuchRunError(f"{what!r} is neither a spec nor a run", hint=hint) from error
 
 

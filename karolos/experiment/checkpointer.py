@@ -89,7 +89,7 @@ class Checkpointer:
             training.load_state(parts["training"])
         if strayed := ", ".join(map(str, training.collector.strayed)):
             self.writer.warn(
-                f"the running episodes of these environments were played again and ended elsewhere: {strayed}",
+                f"the running episodes of these environments were played again and gave another observation: {strayed}",
                 "the run resumes, but not bit for bit: seeds and actions do not determine these episodes",
             )
         results = {result.steps: result for result in self._folder.tests()}

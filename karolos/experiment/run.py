@@ -172,7 +172,7 @@ class Run:
 
     def _resume(self, training: Training, snapshot: Snapshot) -> None:
         for warning in snapshot.warnings:
-            self._writer.warn(warning, "the run resumes from the checkpoint before")
+            self._writer.warn(warning, "the run resumes from the previous checkpoint")
         if snapshot.parts:
             with self.stop.at_once():
                 self._pending += self._checkpointer.restore(training, snapshot.parts)

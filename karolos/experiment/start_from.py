@@ -52,7 +52,7 @@ def find(spec: Spec, runs: Path) -> Learned | None:
         folder = RunFolder.open(path)
     except RunError as error:
         like = closest(run, shipped_names())
-        ships = f"did you mean {like!r}, which ships? " if like else ""
+        ships = f"did you mean {like!r}, a shipped policy? " if like else ""
         raise _refused(f"{run!r}: {error.what}", f"{ships}give a run's full id or its folder") from error
     source = spec_of(folder)
     check_agents(spec, source)

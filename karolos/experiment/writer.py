@@ -103,7 +103,7 @@ class RunWriter:
     def warn_of_failure(self, failure: Failure) -> None:
         """Environments failed and begin their episodes again."""
         environments = ", ".join(map(str, failure.environment.tolist()))
-        self.warn(str(failure.error), f"the episodes of these environments begin again: {environments}")
+        self.warn(str(failure.error), f"the episodes of these environments start again: {environments}")
 
     @contextmanager
     def tolerated(self, kind: type[KarolosError], consequence: str) -> Iterator[None]:

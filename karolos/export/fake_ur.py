@@ -19,8 +19,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from karolos_deploy.bundle import BundleError
 from karolos_deploy.kinematics import turn_of, turned_by
 
+from ..errors import KarolosError
 from .simulated_robot import Server, SimulatedRobot, lines
 
 VERSION = (5, 11, 0, 0)
@@ -269,8 +271,13 @@ def _type(name: str) -> str:
 
 def main(arguments: list[str]) -> None:
     """Serve until stdin ends."""
+    if not arguments or arguments[0].startswith("-"):
+        sys.exit(__doc__)
     bundle, host, *others = [*arguments, "127.0.0.1"][: max(2, len(arguments))]
-    server = FakeUR(Path(bundle), host, dict(one.split("=", 1) for one in others))
+    try:
+        server = FakeUR(Path(bundle), host, dict(one.split("=", 1) for one in others))
+    except (BundleError, KarolosError, OSError) as error:
+        sys.exit(str(error))
     server.watch(sys.stdin, partial(_until_end, server))
     print(f"{server.host}:{server.port}", flush=True)
     server.serve()

@@ -208,7 +208,13 @@ def _similar(path: Path) -> str | None:
     near = siblings.get(closest(path.stem, siblings) or "")
     if near is None and (shipped := closest(path.stem, shipped_specs())):
         near = f"{SHIPPED}{shipped}"
-    return f"did you mean {shown(near)}?" if near else None if path.suffix else "`karolos spec list` shows what ships"
+    return (
+        f"did you mean {shown(near)}?"
+        if near
+        else None
+        if path.suffix
+        else "`karolos spec list` lists the shipped ones"
+    )
 
 
 def _text(path: Path, mark: Mark) -> str:

@@ -39,9 +39,12 @@ def kaplan_meier(times: ArrayLike, reached: ArrayLike) -> tuple[_Floats, _Floats
 
 
 def median_time(times: ArrayLike, reached: ArrayLike) -> _Floats:
-    """Kaplan-Meier median: the first time at which more than half of the runs have reached the threshold, (..., n) to
-    (...); inf if the estimate stays above one half. Where half of them have until the next one does, the middle of that
-    span (the mean of the two middle runs of an even number); inf where there is no next one."""
+    """Kaplan-Meier median: the first time at which more than half of the runs have reached the threshold.
+
+    (..., n) to (...). If exactly half of the runs have reached it until the next one does, the result is the middle of
+    these two times, which is the mean of the two middle runs of an even number. inf if there is no next run, or if the
+    estimate stays above one half.
+    """
     ordered, remaining = kaplan_meier(times, reached)
 
     def first(at: NDArray[np.bool_]) -> _Floats:

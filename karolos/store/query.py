@@ -159,7 +159,7 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
             hint = f"{error.hint}; {len(shipped)} policies ship, e.g. panda_pick"
             raise NoSuchRunError(error.what, hint=hint) from error
         name = f"{SHIPPED}{like}" if like in own else like
-        hint = f"did you mean {name!r}, a policy that ships? `karolos runs list` shows yours"
+        hint = f"did you mean {name!r}, a shipped policy? `karolos runs list` shows your runs"
         raise NoSuchRunError(error.what, hint=hint) from error
 
 

@@ -66,5 +66,5 @@ def test_priorities_are_one_per_transition() -> None:
 
 
 def test_dropping_everything_is_refused() -> None:
-    with pytest.raises(ValidationError, match="leaves nothing"):
+    with pytest.raises(ValidationError, match="leaves none"):
         Quantiles(quantiles=3, drop=3)

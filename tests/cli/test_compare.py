@@ -110,7 +110,7 @@ def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
     folder.release()
     code, _, err = call(app, "compare", "panda_pick", "--runs", str(runs))
     assert code == 0
-    assert f"panda_pick: the policy that ships, because the index of {runs} has no run of this name" in err
+    assert f"panda_pick: the shipped policy, because the index of {runs} has no run of this name" in err
 
 
 def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(runs: Path) -> None:
@@ -125,7 +125,7 @@ def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(run
     add_run(runs, 0, name="panda_push")
     with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
         find_meant("panda_inser", store, runs)
-    assert str(caught.value.hint).startswith("did you mean 'panda_insert', a policy that ships? `karolos runs list`")
+    assert str(caught.value.hint).startswith("did you mean 'panda_insert', a shipped policy? `karolos runs list`")
     with Store(Store.default_url(runs)) as store, pytest.raises(NoSuchRunError) as caught:
         find_meant("panda_pck", store, runs)
     assert (

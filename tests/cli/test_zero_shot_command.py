@@ -93,7 +93,7 @@ def test_a_policy_that_ships_is_its_last_and_says_so_if_best_is_asked_for(tmp_pa
     for asked, told in (((), False), (("--checkpoint", "last"), False), (("--checkpoint", "best"), True)):
         code, out, err = call(export_app, *arguments, *asked, "--json")
         assert (code, json.loads(out)["checkpoint"]) == (0, "last")
-        assert ("ships without the checkpoint best: using last" in err) == told
+        assert ("shipped without the checkpoint best: using last" in err) == told
 
 
 @pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last"), ("--checkpoint", "best")])

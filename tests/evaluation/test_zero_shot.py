@@ -127,8 +127,8 @@ def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: Run
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["agent.hidden=[3]"], "is about training"),
-        (["training.steps=3"], "is about training"),
+        (["agent.hidden=[3]"], "changes the training"),
+        (["training.steps=3"], "changes the training"),
         (["testing.episodes=3"], "--episodes"),
     ],
 )

@@ -149,11 +149,14 @@ def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
 @pytest.mark.parametrize(("processes", "seeds", "jobs"), [(0, [0], 1), (1, [0], 1), (1, [0, 1], 2)])
 def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], jobs: int, tmp_path: Path) -> None:
     asked: list[float] = []
+    going: set[str] = set()
 
     def ask(event: object) -> None:
-        if isinstance(event, RunAdvanced) and not asked:
-            asked.append(time.monotonic() + 0.3)
-            threading.Timer(0.3, terminate).start()
+        if isinstance(event, RunAdvanced):
+            going.add(event.run)
+            if len(going) == len(seeds) and not asked:
+                asked.append(time.monotonic() + 0.3)
+                threading.Timer(0.3, terminate).start()
 
     spec = hostile.spec("late step:hang", processes)
     spec["orchestrator"]["time_limit"] = 60.0

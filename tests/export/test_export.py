@@ -129,7 +129,7 @@ def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
         return replace(found, shift=found.shift + 1)
 
     monkeypatch.setattr(agent, "deployed", shifted)
-    with pytest.raises(RunError, match="does not act as the agent does"):
+    with pytest.raises(RunError, match="does not act like the agent"):
         export_policy(folder, tmp_path, checkpoint="last", onnx=False)
     assert not (tmp_path / "policy.npz").exists()
     monkeypatch.setattr(agent, "deployed", lambda self: replace(right(self), scale=right(self).scale * np.nan))

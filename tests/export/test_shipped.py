@@ -131,6 +131,6 @@ def test_an_unknown_name_is_refused_with_the_closest_policy_that_ships(
     code, _, err = call(app, "play", "panda_pik")
     assert code == 2
     assert "'panda_pik' means no run" in err
-    assert "did you mean 'panda_pick', a policy that ships?" in err
+    assert "did you mean 'panda_pick', a shipped policy?" in err
     _, _, err = call(app, "play", "nothing_like_it")
     assert f"{len(shipped_names())} policies ship, e.g. panda_pick" in err

@@ -165,7 +165,7 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
         (["transfer={robots: [panda, ur5, panda], variants: null}"], ["names the robot panda twice"]),
         (["transfer.variants.slow.environment.speed=0.3"], ["fast and slow have the same settings"]),
         (["transfer.variants.slow=null"], ["needs two variants or more"]),
-        (["transfer.modes=[zero_shot]"], ["fine_tune is a budget that no mode uses"]),
+        (["transfer.modes=[zero_shot]"], ["no mode uses fine_tune"]),
         (["transfer.modes=[scratch]", "transfer.fine_tune={}"], ["transfers nothing"]),
         (
             ["transfer.variants.slow.agent.discount=0.5"],

@@ -44,7 +44,7 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
         pytest.skip(f"{task} is not done in {control} control")
     robot = replace(small, settings={"control": control})
     if task in TURNING:
-        assert "where its tool can be turned" in str(refusal(robot, candidate("tasks", task)))
+        assert "where this robot can turn its tool" in str(refusal(robot, candidate("tasks", task)))
         pytest.skip("it does not say where its tool can be turned")
     with joined(robot, candidate("tasks", task)) as made:
         found = evaluate(made, expert_policy(made), episodes=10, seed=0)

@@ -138,7 +138,7 @@ def test_large_files_and_folders_and_what_is_written_keep_a_spec_fast(
     for name in "abcde":
         (tmp_path / name).write_text(name)
     assert fingerprint(tmp_path, unread) is None
-    assert unread == ["more than 3 files or 4,294,967,296 bytes: its files do not count"]
+    assert unread == ["more than 3 files or 4,294,967,296 bytes: its files are ignored"]
     named = {"data": f"{tmp_path}/a", "log_dir": f"{tmp_path}/a", "out": f"{tmp_path}/b", "root": str(tmp_path)}
     environment = {"name": "gymnasium", "id": "Pendulum-v1", "kwargs": named}
     spec = spec_from_dict({"environment": environment, "agent": "sac"})

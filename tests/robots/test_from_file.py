@@ -19,6 +19,7 @@ from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.robots import from_file
 from karolos.robots.from_file import FromFile, proposal_of
+from karolos.robots.poses import HOME_HEIGHT
 from karolos.robots.proposal import propose
 from karolos.robots.repair import USUAL_SPEED, Repair
 from karolos.simulation import urdf
@@ -49,6 +50,11 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
     gripper = load("grippers", "robotiq_2f85").model
     assert robot.gripper == gripper.fingers.gripper
     assert robot.workspace.low[2] == gripper.least_height
+    x, y, height = robot.configuration.tool.position
+    assert (round(y, 3), round(height, 3), robot.model.floor) == (0, HOME_HEIGHT, 0), (
+        "roomier homes are lower, or aside"
+    )
+    assert x > 0
     assert abs(robot.configuration.tool.y[0]) < 1e-3, "the fingers close along the world's y axis"
     own = robot_of(file=str(arm))
     assert own.model.fingers is not None

@@ -96,3 +96,9 @@ def test_macros_are_expanded_where_a_person_asks_for_it(arm: Path) -> None:
     assert [one.what for one in found.findings][:1] == ["macros of xacro"]
     assert found.robot is not None
     assert {limit.get("velocity") for limit in found.robot.iter("limit")} >= {"2.5"}
+
+
+def test_a_file_that_only_declares_the_prefix_of_macros_needs_none(arm: Path) -> None:
+    text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
+    arm.write_text(text)
+    assert not Repair(arm, expand=True).findings

@@ -15,7 +15,6 @@ from karolos.simulation import urdf
 from karolos.simulation.bullet.world import BulletWorld
 from karolos.simulation.parts import Mechanism
 
-PANDA = Panda.model.urdf
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 BALL = '<geometry><sphere radius="1"/></geometry>'
