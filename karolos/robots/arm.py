@@ -169,7 +169,10 @@ class Arm:
         self.tool_step = self.settings.tool_step
         self.mode = mode = self.settings.control or needs.control
         steps = [min(self.settings.joint_step, speed * period) for speed in self.limits.velocity]
-        if mode == "joint" and self.settings.joint_slots is not None:  # actions do alike whatever the size of an arm
+        if self.settings.joint_slots is not None:  # actions do alike whatever the size of an arm
+            if mode != "joint":
+                what, hint = f"control is {mode}, whose actions do not move joints", "set robot.control: joint"
+                raise UsageError(what, setting="robot.joint_slots", hint=hint)
             levers = np.linalg.norm(self.chain.jacobian(self.chain.forward(self.model.home))[:3], axis=0)
             steps = np.minimum(steps, self.settings.tool_step / np.maximum(levers, 1e-6)).tolist()
         self.joint_step = tuple(steps)

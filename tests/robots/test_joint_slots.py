@@ -69,9 +69,11 @@ def test_actions_of_missing_joints_do_nothing_and_the_expert_gives_none() -> Non
     np.testing.assert_array_equal(first.step(action).observation, second.step(other).observation)
 
 
-def test_an_arm_with_more_joints_than_places_is_refused() -> None:
+def test_places_that_do_not_fit_the_arm_or_its_control_are_refused() -> None:
     with pytest.raises(UsageError, match="this arm has 7 joints"):
         arm_task("panda", joint_slots=6)
+    with pytest.raises(UsageError, match="control is pose, whose actions do not move joints"):
+        arm_task("panda", control="pose")
 
 
 def test_a_mirror_changes_what_joints_do_to_the_tool_and_no_action() -> None:
