@@ -5,13 +5,15 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from .bundle import Bundle, BundleError
 from .drivers import find
-from .executor import Executor, replay
+from .executor import Executor, Outcome, replay
 from .faults import Fault
 
 REFUSED, STOPPED = 2, 3
@@ -82,19 +84,24 @@ def _run(given: argparse.Namespace) -> int:
                 print(f"episode {episode}: {ended}, {outcome.steps} steps, cycle p99 {1000 * outcome.slowest:.2f} ms")
     finally:
         driver.close()
+        if given.json and outcomes:  # also of the episodes before a fault
+            print(json.dumps(_told(outcomes, rate)))
     known = [outcome.success for outcome in outcomes if outcome.success is not None]
-    if given.json:
-        spent = np.concatenate([outcome.cycles for outcome in outcomes])
-        slow = {
-            "p50": float(np.quantile(spent, 0.5)),
-            "p99": float(np.quantile(spent, 0.99)),
-            "most": float(spent.max()),
-        }
-        told = {"episodes": len(outcomes), "successes": sum(known) if known else None, "rate": rate, "cycle": slow}
-        print(json.dumps(told))
-    elif known:
+    if known and not given.json:
         print(f"success {sum(known)} of {len(known)}")
     return 0
+
+
+def _told(outcomes: Sequence[Outcome], rate: float) -> dict[str, Any]:
+    """Episodes, successes where the bundle can tell, and seconds that cycles took."""
+    known = [outcome.success for outcome in outcomes if outcome.success is not None]
+    spent = np.concatenate([outcome.cycles for outcome in outcomes])
+    slow = {
+        "p50": float(np.quantile(spent, 0.5)),
+        "p99": float(np.quantile(spent, 0.99)),
+        "most": float(spent.max()),
+    }
+    return {"episodes": len(outcomes), "successes": sum(known) if known else None, "rate": rate, "cycle": slow}
 
 
 if __name__ == "__main__":
