@@ -172,10 +172,10 @@ def zero_shot(
 ) -> None:
     """Test a run's saved policy under changed settings: another robot, other physics, randomization.
 
-    The same policy's success on the same episodes without the changes is printed beside it. By default these are the
-    episodes of the run's final test, on which no policy was chosen. The result is also written to the run's folder
-    (transfers.jsonl; of a policy that ships: shipped/NAME in the runs folder), and `karolos runs show` shows it. With
-    --expert the scripted policy of a spec's task is tested.
+    Also prints the success of the same policy in the same episodes without the changes. By default the episodes are
+    those of the run's final test, which are held out. The result is written to transfers.jsonl in the run's folder
+    (shipped policies: shipped/NAME in the runs folder), and `karolos runs show` shows it. With --expert the scripted
+    expert of a spec's task is tested.
     """
     if expert:
         if randomize or checkpoint:

@@ -85,11 +85,11 @@ def check(
 def score(
     robots: Annotated[
         list[str] | None,
-        typer.Argument(metavar="FILE|NAME...", help="URDFs, also installed:PACKAGE/PATH, or names of robots."),
+        typer.Argument(metavar="FILE|NAME...", help="URDFs (paths, or installed:PACKAGE/PATH), or names of robots."),
     ] = None,
     gripper: Gripper = "robotiq_2f85",
     policies: Annotated[
-        str, typer.Option(metavar="ROBOT", help="Whose policies: of ur5, panda or iiwa; or a run: ur5_pick, @last.")
+        str, typer.Option(metavar="ROBOT", help="Policies of ur5, panda or iiwa, or one run (ur5_pick, @last).")
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
@@ -105,9 +105,9 @@ def score(
 ) -> None:
     """Play the shipped policies on a robot that they never saw: success, and the causes of failures.
 
-    Nothing is trained. A page with a film of each task is written, and score.json with the same numbers. A file that
-    cannot be used as it is goes on as its repaired copy. Several robots have a folder each, and a table of all. Results
-    are kept as those of `karolos test`.
+    Nothing is trained. Writes a page with a film of each task, and score.json with the same numbers. A URDF that
+    cannot be used as it is gets repaired in a copy. Several robots get a folder each, and one table. Results are kept
+    like those of `karolos test`.
     """
     from karolos.files import write_json, writing
     from karolos.plugins.robot_score import (
@@ -168,7 +168,7 @@ def score(
 
 
 def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
-    """The overrides that name a robot, what is assumed of its file, and what it is called."""
+    """The overrides that name a robot, the assumptions about its file, and its name."""
     from karolos.files import INSTALLED, installed_file
     from karolos.registry import names
     from karolos.robots.from_file import FromFile, proposal_of

@@ -86,7 +86,7 @@ def zero_shot_test(
 ) -> Evaluation:
     """Play test episodes of a run's policy under its spec with overrides, and write the result into the run's folder.
 
-    Nothing is written for a run that ships: see `keep`.
+    Nothing is written for a shipped run, see `keep`.
 
     The result also has the numbers of the same policy in the same episodes under the unchanged spec. They come from the
     final test if it played these episodes; otherwise they are played, too. If the run's engine is not installed,
@@ -139,14 +139,7 @@ def zero_shot_test(
     own = result
     if overrides or randomize:
         own = final_of(folder, saved, seed, count) or play(here, drawing=False)
-    test = replace(
-        tested_by(saved, result),
-        overrides=tuple(overrides),
-        randomized=randomize,
-        seed=seed,
-        wall_seconds=wall_seconds,
-        own=own.counts,
-    )
+    test = replace(changed_test(saved, result, overrides, seed, wall_seconds, own), randomized=randomize)
     keep(folder, test)
     return test
 
@@ -159,7 +152,7 @@ def final_of(folder: RunFolder, saved: Learned, seed: int, count: int) -> Evalua
 
 
 def keep(folder: RunFolder, test: Evaluation, runs: Path | None = None) -> None:
-    """Write a test under changed settings where `results_of` says; of a run that ships nowhere without a runs folder.
+    """Write a test under changed settings where `results_of` says; without `runs` not for a shipped run.
 
     Raises MachineError.
     """
@@ -170,10 +163,25 @@ def keep(folder: RunFolder, test: Evaluation, runs: Path | None = None) -> None:
         kept.add_transfer(test)
 
 
-def tested_by(saved: Learned, result: Evaluation) -> Evaluation:
-    """The result, which says which policy played, when, and with which software."""
+def changed_test(
+    saved: Learned, result: Evaluation, overrides: Sequence[str], seed: int, wall_seconds: float, own: Evaluation | None
+) -> Evaluation:
+    """The result of a test under changed settings, with the policy that played, the time and the software.
+
+    Args:
+        saved: the policy.
+        result: of its episodes.
+        overrides: the changed settings.
+        seed: root of the episodes' seeds.
+        wall_seconds: duration of the test in s.
+        own: the same episodes under the unchanged spec; None: they were not played.
+    """
     return replace(
         result,
+        overrides=tuple(overrides),
+        seed=seed,
+        wall_seconds=wall_seconds,
+        own=own and own.counts,
         steps=saved.steps,
         seconds=saved.seconds,
         checkpoint=saved.checkpoint,

@@ -1,8 +1,8 @@
 """A matrix of transfers: trains every source, tests its policies on every target, and fine-tunes them there.
 
-The run of a variant is a source of policies, and what training from scratch achieves on that variant as a target. A
-target without runs may be one that the task refuses, such as an arm without room for it: it is named with the reason.
-runs/transfers/<name>/ holds what no run holds:
+The run of a variant has two roles: it is a source of policies, and the training from scratch on that target. The task
+may refuse a target without runs, for example an arm with too small a workspace: the report names it with the reason.
+runs/transfers/<name>/ holds only what the runs do not hold:
     baselines.jsonl    success of random actions and of the scripted expert on each variant
     tests/             folders of zero-shot tests while a launcher's processes play them
     lock               held by the process of the matrix

@@ -21,7 +21,7 @@ from ..evaluation.changed_spec import changed_spec
 from ..evaluation.playing import Moment, evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import test_seeds
-from ..evaluation.zero_shot import final_of, keep, tested_by
+from ..evaluation.zero_shot import changed_test, final_of, keep
 from ..files import write_whole, writing
 from ..plans.matrix_report import targets_table
 from ..records import RunFolder, scan
@@ -63,7 +63,7 @@ class PolicyScore:
     causes: dict[str, int] = field(default_factory=dict)
     """Failed episodes by cause, see `CAUSES`."""
     refused: str | None = None
-    """Why the robot does not do the task; nothing keeps it."""
+    """Why the robot does not fit the task. Refusals are not kept."""
     seconds: float = 0.0
     film: str | None = None
     """Film of the first failure, or of the first episode if none fails."""
@@ -123,7 +123,7 @@ class Watch:
 
 
 def policies_of(robot: str) -> list[Path]:
-    """Folders of the policies that ship, trained on this robot. Raises UsageError if there are none."""
+    """Folders of the shipped policies that were trained on this robot. Raises UsageError if there are none."""
     found = [FOLDER / name for name in shipped_names() if name.startswith(f"{robot}_")]
     if not found:
         known = sorted({name.partition("_")[0] for name in shipped_names()})
@@ -132,7 +132,7 @@ def policies_of(robot: str) -> list[Path]:
 
 
 def refused(run: Path, episodes: int, error: KarolosError) -> PolicyScore:
-    """The score of a policy on a robot that does not do its task, or that cannot be used at all."""
+    """The score of a policy on a robot that does not fit its task, or that cannot be used at all."""
     task = part_name(RunFolder.open(run).spec(), "task") or ""
     return PolicyScore(run.name, task, episodes, None, refused=" ".join(str(error).splitlines()))
 
@@ -151,8 +151,8 @@ def score_policy(
         run: folder of its run.
         overrides: name the robot, as for `changed_spec`.
         episodes: to play.
-        film: of the first failure, or of the first episode if none fails: file to write.
-        runs: folder of the run folders, which keeps the tests of policies that ship; None: nothing keeps them.
+        film: file to write, with the first failure, or the first episode if none fails.
+        runs: folder of the run folders, where tests of shipped policies are kept; None: they are not kept.
         size: of the film in pixels.
     """
     started, folder = perf_counter(), RunFolder.open(run)
@@ -160,14 +160,14 @@ def score_policy(
     try:
         spec = changed_spec(saved.spec, overrides, trained=saved.signature)
         environment = environment_of(spec, randomize=True)
-    except KarolosError as error:  # the robot and the task do not go together
+    except KarolosError as error:  # the robot does not fit the task
         return refused(run, episodes, error)
     causes: Counter[str] = Counter()
     failures: list[int] = []
     with used(environment):
         assert isinstance(environment, RobotTask)
         if not isinstance(environment.robot, Arm):
-            raise UsageError("it is no arm", setting="robot", hint="`karolos test` tests any robot")
+            raise UsageError("this robot is not an arm", setting="robot", hint="`karolos test` tests any robot")
         watch, seed = Watch(environment, saved.policy()), spec.testing.final_seed
 
         def see(moment: Moment) -> None:
@@ -183,14 +183,7 @@ def score_policy(
             write_film(film, moments, environment, size)
     seconds, ordered = perf_counter() - started, {cause: causes[cause] for cause in CAUSES if causes[cause]}
     own = final_of(folder, saved, seed, episodes)
-    test = replace(
-        tested_by(saved, result),
-        overrides=tuple(overrides),
-        seed=seed,
-        wall_seconds=seconds,
-        causes=ordered,
-        own=own and own.counts,
-    )
+    test = replace(changed_test(saved, result, overrides, seed, seconds, own), causes=ordered)
     keep(folder, test, runs)
     ends = test.successes_end or 0
     task, where = spec.task.name if spec.task else "", film.name if film else None

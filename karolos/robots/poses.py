@@ -221,8 +221,10 @@ class Poses:
     def pairs(self, poses: Iterable[Sequence[float]]) -> list[tuple[int, int]]:
         """Pairs of links that are apart in all of these poses, and can collide elsewhere; -1 is the base.
 
-        One of them is among the last three, and they are not next to each other. Shapes that are fatter than the links
-        touch always.
+        One link is among the last three, and the two are not neighbours. Shapes larger than the links always touch.
+
+        Args:
+            poses: joint positions in rad, (n,) each.
         """
         last = len(self._joints) - 1
         found = [(one, other) for other in range(last - 2, last + 1) for one in range(-1, other - 1)]

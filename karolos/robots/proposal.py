@@ -289,7 +289,7 @@ class _Site:
     def place(self) -> Place | None:
         """Home and workspace above the floor; None if the tool cannot point down.
 
-        An arm that has hardly any room in front of its base stands higher or lower than the table that it works on.
+        If an arm has hardly any room in front of its base, the table is assumed to be lower or higher than the base.
         """
         home, workspace = self._known.home, self._known.workspace
         if home is not None:
