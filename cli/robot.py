@@ -126,6 +126,8 @@ def score(
     if listed:
         wanted = {Path(one).stem for one in robots}
         rows = [row for row in kept_scores(runs) if row["robot"] in wanted or not wanted]
+        if not rows:
+            say(f"there are no scores in {runs}, or none of these robots")
         print_rows(rows, json=True) if json else print_table(kept_table(rows))
         return
     if not robots:
