@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
-import importlib.metadata
 import json
 import os
 import re
@@ -109,10 +108,12 @@ INSTALLED = "installed:"
 
 def installed_file(name: str) -> Path | None:
     """The file that `installed:PACKAGE/PATH` names; None if it does not exist."""
+    from importlib import metadata  # every command imports this module, and metadata imports email
+
     package, _, end = name.removeprefix(INSTALLED).partition("/")
     try:
-        files = importlib.metadata.files(package) or []
-    except (importlib.metadata.PackageNotFoundError, ValueError):
+        files = metadata.files(package) or []
+    except (metadata.PackageNotFoundError, ValueError):
         return None
     return next((Path(str(one.locate())).resolve() for one in files if f"/{one.as_posix()}".endswith(f"/{end}")), None)
 

@@ -177,7 +177,7 @@ class RunSummary:
 
     def row(self) -> dict[str, Any]:
         """The fields as JSON values, in order."""
-        return asdict(self) | {"tags": list(self.tags)}
+        return vars(self) | {"tags": list(self.tags)}
 
 
 @dataclass(frozen=True)

@@ -210,7 +210,7 @@ def _put_tests(connection: Connection, records: Sequence[RunRecord]) -> set[str]
     stored: dict[str, dict[int, Evaluation]] = defaultdict(dict)
     for run, steps, *numbers in connection.execute(select(TESTS).where(_named(TESTS, records))):
         stored[run][steps] = Evaluation(steps, *numbers)
-    retested = set()
+    retested, rows = set(), []
     for record in records:
         run, old, new = record.summary.run, stored[record.summary.run], {test.steps: test for test in record.tests}
         if old != new:
@@ -218,7 +218,8 @@ def _put_tests(connection: Connection, records: Sequence[RunRecord]) -> set[str]
             gone = delete(TESTS).where(TESTS.c.run == run, TESTS.c.steps == bindparam("one"))
             _for_each(connection, gone, old.keys() - new.keys())
             changed = [test for steps, test in new.items() if old.get(steps) != test]
-            put(connection, TESTS, [{"run": run, **{name: getattr(test, name) for name in COUNTS}} for test in changed])
+            rows += [{"run": run, **{name: getattr(test, name) for name in COUNTS}} for test in changed]
+    put(connection, TESTS, rows)
     return retested
 
 
