@@ -49,13 +49,16 @@ ARRIVED = 3e-3
 """Largest distance in m of the tool from the place after them."""
 APART = 0.005
 """Smallest distance in m of links that may collide."""
+FAR = 0.05
+"""Distance in m of links with only one between them from which on they must stay apart."""
 
 
 class Place(NamedTuple):
     """A home pose and the space around it."""
 
     room: float
-    """Share of the largest workspace: 1 is all. It is smaller if four steps from home lead out of the workspace."""
+    """Share of the largest workspace: 1 is all. It is halved if four steps from home lead out of the workspace, and
+    again if the tool does not get down to the floor."""
     home: tuple[float, ...]
     """Joint positions in rad."""
     tool: Vector
@@ -181,8 +184,9 @@ class Poses:
         step, box = min(self._tool_step(np.array(home)), self.usual_step), workspace or self._workspace(home)
         tool, edges = self.chain.forward(home).tool.position, np.subtract(box.high, box.low)
         free = min(np.subtract(tool, box.low).min(), np.subtract(box.high, tool).min()) > 4 * step
+        down = box.low[2] < max(self.body.lowest, 0.0) + CLEARANCE
         most = np.diff(self._largest(np.array(tool)), axis=0)[0]
-        room = float(np.prod(np.minimum(edges / most, 1.0))) * (1.0 if free else 0.5)
+        room = float(np.prod(np.minimum(edges / most, 1.0))) * 0.5 ** ((not free) + (not down))
         corners = [self._walked(home, place)[0] for place in product(*zip(box.low, box.high, strict=True))]
         poses = (home, *(tuple(pose.tolist()) for pose in corners))
         return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box, poses)
@@ -232,12 +236,14 @@ class Poses:
             found = self._apart(pose, found)
         return found
 
-    def _apart(self, pose: Sequence[float], pairs: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-        """Those of some pairs of links that are apart in a pose."""
+    def _apart(
+        self, pose: Sequence[float], pairs: Sequence[tuple[int, int]], distance: float = APART
+    ) -> list[tuple[int, int]]:
+        """Those of some pairs of links that are further apart than a distance in m in a pose."""
         *others, hand = self.body.shapes
         links = self._links(pose, [*others, np.vstack([hand, self.body.fingers])])
         links.append(self.body.base + self.chain.base)
-        return [(a, b) for a, b in pairs if _apart(links[a], links[b])]
+        return [(a, b) for a, b in pairs if _apart(links[a], links[b], distance)]
 
     def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
@@ -311,10 +317,13 @@ class Poses:
     def _workspace(self, home: Sequence[float]) -> Box:
         """A box around home that actions reach with the tool, down to the floor if the arm gets there below home.
 
-        No link that is apart from another at home touches it there. Its faces grow one after the other as long as
-        actions bring the tool to their corners and the centres of them and their edges.
+        No link that is apart from another at home touches it there. Links with only one between them are built close
+        together, and count only if they are far apart at home. The faces of the box grow one after the other as long
+        as actions bring the tool to their corners and the centres of them and their edges.
         """
         start, pairs = np.array(self.chain.forward(home).tool.position), self.pairs([home])
+        far = self._apart(home, pairs, FAR)
+        pairs = [(one, other) for one, other in pairs if other - one > 2 or (one, other) in far]
         most = self._largest(start)
         size = np.zeros((2, 3))
         for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
@@ -356,10 +365,19 @@ def spanning(points: Array) -> Array:
     return found
 
 
-def _apart(one: Array, other: Array) -> bool:
-    """Whether a plane separates two non-empty sets of points by `APART`. Only some directions are tried."""
+def _apart(one: Array, other: Array, distance: float = APART) -> bool:
+    """Whether the convex hulls of two sets of points are further apart than a distance in m; never for an empty set.
+
+    Gilbert's algorithm: the difference of two points, one of each hull, becomes ever shorter, and every step shows a
+    plane between the hulls (SIAM Journal on Control 4, 1966).
+    """
     if not (len(one) and len(other)):
         return False
     way = other.mean(0) - one.mean(0)
-    rays = np.vstack([way / max(float(np.linalg.norm(way)), 1e-9), RAYS, -RAYS]).T
-    return bool(((other @ rays).min(0) - (one @ rays).max(0)).max() > APART)
+    for _ in range(60):
+        nearer = other[(other @ way).argmin()] - one[(one @ way).argmax()]
+        length, change = float(np.linalg.norm(way)), way - nearer
+        if length <= distance or float(way @ nearer) > distance * length or float(way @ change) < 1e-9:
+            break
+        way = way - min(float(way @ change) / float(change @ change), 1.0) * change
+    return length > distance and float(way @ nearer) > distance * length

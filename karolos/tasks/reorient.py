@@ -8,6 +8,7 @@ from typing import Annotated, Any, Literal
 from pydantic import Field as Setting
 
 from ..core import Expert, FloatArray, Generator, Layout
+from ..core.settings import LATER
 from ..errors import UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import (
@@ -47,8 +48,8 @@ LYING: Quaternion = (sqrt(0.5), 0.0, 0.0, sqrt(0.5))
 """The rotation that lays the object down. A gripper then holds it by the same sides as when it stands."""
 HALF_TURNS: tuple[Quaternion, ...] = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 """Half turns about each axis, which do not change a box."""
-AIR_PROBABILITY, AIR = 0.6, (0.03, 0.15)
-"""Probability of a goal in the air, and its height in m above the object's when it rests on the floor."""
+AIR = 0.03, 0.15
+"""Heights in m of goals in the air above the object's when it rests on the floor."""
 OVER_TOP = (0.012, 0.04)
 """Height in m of the tool above the top of the object in episodes that start over it. The pads reach a bit lower."""
 TURN_SHARE = 0.9
@@ -73,6 +74,9 @@ class ReorientSettings(CubeSettings):
         pi / 12, gt=0, le=1, description="angle at which the orientation is reached, rad; default: 15 degrees"
     )
     lying: Probability = Setting(0.5, description="share of episodes in which the object lies; else it stands")
+    in_air: Probability = Setting(
+        0.6, json_schema_extra=LATER, description="share of goals in the air; else on the floor"
+    )
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
     start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")
@@ -217,7 +221,7 @@ class Reorient(CubeTask):
         piece.place((x, y, z), orientation)
         start_pose = self.achieved()
         while True:
-            position, tool = pose(air=generator.uniform() < AIR_PROBABILITY)
+            position, tool = pose(air=generator.uniform() < self.drawn.in_air)
             self.goal_position, self.goal_rotation = position, turned(tool)
             self.goal = pose_array(position, self.goal_rotation)
             if not self.goal_rule.success(start_pose, self.goal):
