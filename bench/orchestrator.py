@@ -19,7 +19,7 @@ from typing import Annotated, Any
 import numpy as np
 from typer import Option
 
-from karolos.core import Array, Environment, Field, Layout, Orchestrator, Signature, Step, random_actions
+from karolos.core import Array, Environment, Field, Layout, Orchestrator, Received, Signature, Step, random_actions
 from karolos.environments.build import build_environment
 from karolos.gym import environment_ids
 from karolos.orchestrator.local import Local
@@ -111,11 +111,19 @@ def _seconds_of_resets(build: Build, processes: int, threads: int, number: int, 
                 ready = ready[: number - begun]
                 orchestrator.reset(ready, range(begun, begun + ready.size))
                 begun += ready.size
-                ready = orchestrator.receive(at_least=1).environment
+                ready = _received(orchestrator, 1).environment
                 ended += ready.size
 
         reset(2 * orchestrator.size)  # a world's first reset loads it
         return seconds_of(partial(reset, number))
+
+
+def _received(orchestrator: Orchestrator, at_least: int | None) -> Received:
+    """What arrives. Raises the error of an environment that failed, which would not be stepped any more."""
+    received = orchestrator.receive(at_least)
+    for failure in received.failures:
+        raise failure.error
+    return received
 
 
 def steps_per_second(orchestrator: Orchestrator, seconds: float, at_least: int | None = None) -> float:
@@ -125,7 +133,7 @@ def steps_per_second(orchestrator: Orchestrator, seconds: float, at_least: int |
     orchestrator.reset(range(orchestrator.size), range(orchestrator.size))
     steps, started = 0, perf_counter()
     while steps == 0 or perf_counter() - started < seconds:
-        ready, step, *_ = orchestrator.receive(at_least)
+        ready, step, *_ = _received(orchestrator, at_least)
         over = step.terminated | step.truncated
         going = ready[~over]
         if over.any():
