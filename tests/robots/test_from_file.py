@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -19,7 +20,7 @@ from karolos.records import RunFolder
 from karolos.registry import load
 from karolos.robots import from_file
 from karolos.robots.from_file import FromFile, proposal_of
-from karolos.robots.poses import HOME_HEIGHT
+from karolos.robots.poses import HOME_HEIGHT, _apart
 from karolos.robots.proposal import propose
 from karolos.robots.repair import USUAL_SPEED, Repair
 from karolos.simulation import urdf
@@ -224,3 +225,15 @@ def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
     spec = spec_in(tmp_path, '{name: urdf, file: "installed:no-such-arms/one.urdf"}')
     with pytest.raises(PluginError, match="there is no such file; pip install no-such-arms"):
         load("robots", "urdf")(spec.robot.settings)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(("gap", "apart"), [(0.006, True), (0.004, False), (-0.02, False)])
+def test_hulls_are_apart_by_their_true_distance_in_any_direction(gap: float, apart: bool) -> None:
+    corners = np.array(list(product((-0.05, 0.05), repeat=3)))
+    for turn in np.random.Generator(np.random.PCG64(0)).uniform(-3, 3, size=(20, 3)):
+        rotation = urdf.rotation_matrix(*turn)
+        turned = corners @ rotation.T
+        above = (
+            turned - turned[turned[:, 2].argmin()] + np.array([0.01, 0.02, 0.05 + gap])
+        )  # its lowest corner is there
+        assert _apart(corners, above) == apart
