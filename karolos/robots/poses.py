@@ -374,10 +374,12 @@ def _apart(one: Array, other: Array, distance: float = APART) -> bool:
     if not (len(one) and len(other)):
         return False
     way = other.mean(0) - one.mean(0)
-    for _ in range(60):
+    for _ in range(100):
         nearer = other[(other @ way).argmin()] - one[(one @ way).argmax()]
         length, change = float(np.linalg.norm(way)), way - nearer
-        if length <= distance or float(way @ nearer) > distance * length or float(way @ change) < 1e-9:
+        if float(way @ nearer) > distance * length:
+            return True
+        if length <= distance or float(way @ change) < 1e-9:
             break
         way = way - min(float(way @ change) / float(change @ change), 1.0) * change
-    return length > distance and float(way @ nearer) > distance * length
+    return False
