@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from math import atan2, cos, pi, sin
 from typing import NamedTuple
 
@@ -368,18 +368,34 @@ def spanning(points: Array) -> Array:
 def _apart(one: Array, other: Array, distance: float = APART) -> bool:
     """Whether the convex hulls of two sets of points are further apart than a distance in m; never for an empty set.
 
-    Gilbert's algorithm: the difference of two points, one of each hull, becomes ever shorter, and every step shows a
-    plane between the hulls (SIAM Journal on Control 4, 1966).
+    The algorithm of Gilbert, Johnson and Keerthi (IEEE Journal on Robotics and Automation 4, 1988): the point of the
+    hulls' difference that is nearest to 0, from at most four of its corners. Each direction shows a plane between them.
     """
     if not (len(one) and len(other)):
         return False
-    way = other.mean(0) - one.mean(0)
-    for _ in range(100):
+    way, corners = other.mean(0) - one.mean(0), np.zeros((0, 3))
+    for _ in range(30):
         nearer = other[(other @ way).argmin()] - one[(one @ way).argmax()]
-        length, change = float(np.linalg.norm(way)), way - nearer
+        length = float(np.linalg.norm(way))
         if float(way @ nearer) > distance * length:
             return True
-        if length <= distance or float(way @ change) < 1e-9:
-            break
-        way = way - min(float(way @ change) / float(change @ change), 1.0) * change
+        if len(corners) and (length <= distance or float(way @ (way - nearer)) < 1e-8):
+            return False
+        way, corners = _nearest(np.vstack([corners, nearer]))
     return False
+
+
+def _nearest(corners: Array) -> tuple[Array, Array]:
+    """The point (3,) nearest to 0 of the hull of at most five points, and those of them (k, 3) that span its face."""
+    found: list[tuple[float, Array, Array]] = []
+    for number in range(1, min(len(corners), 4) + 1):
+        for face in combinations(corners, number):
+            points = np.array(face)
+            sums = np.ones((number + 1, number + 1))
+            sums[:-1, :-1], sums[-1, -1] = points @ points.T, 0.0
+            weights = np.linalg.lstsq(sums, np.eye(number + 1)[-1], rcond=None)[0][:-1]
+            if (weights > -1e-12).all():
+                point = weights @ points
+                found.append((float(point @ point), point, points))
+    _, point, points = min(found, key=lambda one: one[0])
+    return point, points
