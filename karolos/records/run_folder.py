@@ -36,7 +36,7 @@ from ..files import (
 )
 from . import labels, provenance
 from .decode import from_json, read_json
-from .evaluation import Evaluation, decode, decode_final
+from .evaluation import Evaluation, decode, decode_counts, decode_final
 from .labels import Labels
 from .run_records import (
     FORMAT,
@@ -367,8 +367,12 @@ class RunFolder:
         spec = self.read_spec()
         state = read_json(RunState, self.path / "state.json")
         now = self._current(state or RunState("running"))
-        rows, problems = self._read_tests()  # after the state: a finished run has all its tests
-        tests = tuple(test.counts for test in _by_steps(rows))
+        if self._lock.held:
+            rows, problems = self._read_tests()
+            tests = _by_steps(test.counts for test in rows)
+        else:  # after the state: a finished run has all its tests
+            rows, problems = read_values(self.path / TESTS, decode_counts, "test")
+            tests = _by_steps(rows)
         if spec is None:
             problems += (f"resolved.json: {DAMAGED_SPEC}",)
         if state is None:
