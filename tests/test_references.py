@@ -23,6 +23,16 @@ def test_tables_reference_runs_and_shipped_specs_agree() -> None:
     assert SCRIPT["problems"]() == []
 
 
+def test_the_tables_of_benchmarks_are_those_of_their_rows(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    script = runpy.run_path(str(ROOT / "docs" / "_scripts" / "benchmarks.py"))
+    script["main"]("check", [])
+    page = tmp_path / "benchmarks.md"
+    page.write_text(script["PAGE"].read_text(encoding="utf-8").replace("updates/s", "updates/h"))
+    monkeypatch.setitem(script["main"].__globals__, "PAGE", page)
+    with pytest.raises(SystemExit, match="has other tables"):
+        script["main"]("check", [])
+
+
 def test_every_pair_of_robot_and_task_has_a_spec() -> None:
     for robot, task in product(SCRIPT["ROBOTS"], SCRIPT["TARGETS"]):
         assert (ROOT / "specs" / f"{robot}_{task}.yaml").is_file()

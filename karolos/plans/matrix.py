@@ -136,6 +136,9 @@ class Matrix(Plan):
                         check_parts(variant, jobs)
                     signatures[label] = signature_of(variant)
                 except (PluginError, UsageError) as error:
+                    if label in self.transfer.trained and error.setting in self.transfer.settings[label]:
+                        place = self.transfer.place(label)
+                        raise UsageError(f"{error.setting}: {error.what}", setting=place, hint=error.hint) from error
                     if label in self.transfer.trained:
                         raise
                     self.refused[label] = "; ".join(filter(None, (error.what, error.hint)))

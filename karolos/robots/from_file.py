@@ -14,7 +14,7 @@ from pydantic import Field as Setting
 from pydantic import TypeAdapter, ValidationError
 
 from ..core.settings import LATER
-from ..errors import MachineError, PluginError
+from ..errors import MachineError, PluginError, UsageError
 from ..files import INSTALLED, fingerprint, write_whole, writing
 from ..registry import load
 from ..simulation.geometry import Box, Vector
@@ -88,7 +88,7 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
         hint = "name a URDF or an MJCF file; in a spec relative to it, in an override to the current folder"
         if settings.file.startswith(INSTALLED):
             hint = f"pip install {settings.file.removeprefix(INSTALLED).partition('/')[0]}"
-        raise PluginError("there is no such file", where=str(path), hint=hint)
+        raise UsageError(f"there is no file {settings.file}", setting="robot.file", hint=hint)
     plain = path.suffix.lower() not in MJCF and settings.mass is None and not settings.repair
     mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""
     parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or str(path.parent)]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from support.fourth_robot import LINKS, TOOL, exported_arm
 
-from karolos.errors import PluginError
+from karolos.errors import PluginError, UsageError
 from karolos.evaluation.changed_spec import changed_spec
 from karolos.evaluation.policies import signature_of
 from karolos.files import copy_named, fingerprint
@@ -97,7 +97,7 @@ def test_a_proposal_is_computed_once(arm: Path, tmp_path: Path, monkeypatch: pyt
 
 
 def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
-    with pytest.raises(PluginError, match=r"none.urdf: there is no such file; name a URDF"):
+    with pytest.raises(UsageError, match=r"robot.file: there is no file .*none.urdf; name a URDF"):
         robot_of(file=str(tmp_path / "none.urdf"))
 
 
@@ -223,7 +223,7 @@ def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
     assert spec.robot is not None
     assert spec.robot.settings.model_dump()["file"] == str(tmp_path / "share/arms/urdf/one.urdf")
     spec = spec_in(tmp_path, '{name: urdf, file: "installed:no-such-arms/one.urdf"}')
-    with pytest.raises(PluginError, match="there is no such file; pip install no-such-arms"):
+    with pytest.raises(UsageError, match="there is no file installed:no-such-arms.*; pip install no-such-arms"):
         load("robots", "urdf")(spec.robot.settings)  # type: ignore[union-attr]
 
 
