@@ -48,8 +48,8 @@ LYING: Quaternion = (sqrt(0.5), 0.0, 0.0, sqrt(0.5))
 """The rotation that lays the object down. A gripper then holds it by the same sides as when it stands."""
 HALF_TURNS: tuple[Quaternion, ...] = ((1.0, 0.0, 0.0, 0.0), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0))
 """Half turns about each axis, which do not change a box."""
-AIR = 0.03, 0.15
-"""Heights in m of goals in the air above the object's when it rests on the floor."""
+HIGHEST = 0.15
+"""Largest height in m of goals in the air above the object's when it rests on the floor."""
 OVER_TOP = (0.012, 0.04)
 """Height in m of the tool above the top of the object in episodes that start over it. The pads reach a bit lower."""
 TURN_SHARE = 0.9
@@ -76,6 +76,13 @@ class ReorientSettings(CubeSettings):
     lying: Probability = Setting(0.5, description="share of episodes in which the object lies; else it stands")
     in_air: Probability = Setting(
         0.6, json_schema_extra=LATER, description="share of goals in the air; else on the floor"
+    )
+    lowest_air: Annotated[float, Drawn("m", 0.0, 0.1)] = Setting(
+        0.03,
+        ge=0,
+        le=0.1,
+        json_schema_extra=LATER,
+        description="least height of goals in the air above the object's on the floor, m",
     )
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
@@ -199,7 +206,7 @@ class Reorient(CubeTask):
             x, y, z = sample_position(generator, ground, "the object").tolist()
             if not air:
                 return (x, y, z), robot.orientations.at(0.0, 0.0, generator.uniform(-turn, turn))
-            return (x, y, min(z + generator.uniform(*AIR), self.highest)), sample_orientation(
+            return (x, y, min(z + generator.uniform(self.drawn.lowest_air, HIGHEST), self.highest)), sample_orientation(
                 generator, robot.orientations
             )
 
