@@ -81,6 +81,11 @@ def below(root: Path, name: str) -> Path:
     return path
 
 
+def user_cache() -> Path:
+    """The folder of karolos in this user's cache folder. Raises RuntimeError if there is no known home."""
+    return system.user_cache() / "karolos"
+
+
 def is_portable(name: str) -> bool:
     """Whether Windows, too, allows a file of this name."""
     return name.partition(".")[0].lower() not in system.RESERVED_NAMES and not name.endswith(".")
@@ -108,7 +113,7 @@ INSTALLED = "installed:"
 
 def installed_file(name: str) -> Path | None:
     """The file that `installed:PACKAGE/PATH` names; None if it does not exist."""
-    from importlib import metadata  # every command imports this module, and metadata imports email
+    from importlib import metadata  # noqa: PLC0415  (every command imports this module; metadata imports email)
 
     package, _, end = name.removeprefix(INSTALLED).partition("/")
     try:

@@ -33,6 +33,7 @@ from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
 from ..robots.protective_stop import ProtectiveStop
 from ..simulation.geometry import matrix_of
+from ..simulation.interface import Task
 from .export import Exported, export_policy
 from .page import page
 
@@ -139,8 +140,8 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
             ],
         },
         **describe_robot(environment, spec["robot"]["name"]),
-        "observation": _observed(signature.observation.acting, task.settings),
-        "desired_goal": _fields(signature.desired_goal),
+        "observation": _observed(signature.observation.acting, task),
+        "desired_goal": signature.desired_goal.described(),
         "episode": {"steps": task.max_steps, "task": spec["task"]},
         "randomized": drawn,
         "not_randomized": {
@@ -195,13 +196,9 @@ def _gripper(arm: Arm) -> dict[str, Any]:
     return {"closed": -1, "open": 1, "width": width, "force": force, "speed": getattr(found, "speed", None)}
 
 
-def _fields(layout: Layout) -> list[dict[str, Any]]:
-    return [{"name": field.name, "size": field.size, "unit": field.unit} for field in layout.fields]
-
-
-def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
+def _observed(layout: Layout, task: Task) -> list[dict[str, Any]]:
     """The fields of the observation, each with the formula by which it is computed on a robot."""
-    fields = _fields(layout)
+    fields = layout.described()
     for field in fields:
         name = field["name"]
         stem = name.removesuffix("_from_tool")
@@ -209,20 +206,11 @@ def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
             field["formula"] = ROBOT[name]
         elif stem != name and f"{stem}_position" in layout.names:
             field |= {"formula": "difference", "of": [f"{stem}_position", "tool_position"]}
-        elif name == "near_errors" and hasattr(task, "play"):
-            field |= {"formula": "tanh", "of": _near_errors()}
+        elif name in task.fine_fields:
+            field |= {"formula": "tanh", "of": [list(one) for one in task.fine_fields[name]]}
         else:
             field["formula"] = "measured"
     return fields
-
-
-def _near_errors() -> list[list[Any]]:
-    """Field, column, offset and scale for each column of the task insert's `near_errors`."""
-    from ..tasks.insert import DEPTH, SCALES, TURN_SCALE  # noqa: PLC0415
-
-    places = [(0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)]
-    near = [["tip_from_hole", column, added, scale] for scale in SCALES for column, added in places]
-    return near + [["peg_turn", column, 0.0, TURN_SCALE] for column in range(3)]
 
 
 def record(

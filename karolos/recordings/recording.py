@@ -70,14 +70,10 @@ class Played:
 def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
     """Meaning of the numbers of a recording, as JSON-able data; `about` says its origin."""
     signature = facts.signature
-    action = signature.action
     return {
         "format": FORMAT,
         "rate": facts.rate,
-        "observation": _fields(signature.observation),
-        "achieved_goal": _fields(signature.achieved_goal),
-        "desired_goal": _fields(signature.desired_goal),
-        "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        **{name: getattr(signature, name).described() for name in (*STATES, "action")},
         "scales": {name: [unit, list(moved)] for name, (unit, moved) in facts.scales.items()},
         "base": facts.base,
         "max_steps": signature.max_steps,
@@ -97,10 +93,6 @@ def facts_of(about: Mapping[str, Any]) -> Facts:
     )
     scales = {name: (str(unit), tuple(map(float, moved))) for name, (unit, moved) in about["scales"].items()}
     return Facts(signature, float(about["rate"]), scales, about["base"])
-
-
-def _fields(layout: Layout) -> list[dict[str, Any]]:
-    return [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout.fields]
 
 
 def _layout(fields: list[dict[str, Any]]) -> Layout:

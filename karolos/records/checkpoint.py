@@ -26,17 +26,13 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .. import system
-from ..core import State
 from ..errors import RunError
 from ..files import below, parse_object, write_json, writing
-
-if TYPE_CHECKING:
-    pass
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -54,6 +50,8 @@ _MANIFEST_BYTES = 1 << 24
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
 _TAG = "__karolos__"
 _WORD = range(-(1 << 63), 1 << 63)
+State = dict[str, Any]
+"""The content of a part, see `karolos.core.State`."""
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
 """Errors of torch's reader and `decode` on files that only look like checkpoints."""
 

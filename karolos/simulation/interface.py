@@ -653,6 +653,9 @@ class Task(ABC):
     """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
     """More fields, only for critics. A spec chooses from them by `environment.critic_observes`."""
+    fine_fields: ClassVar[Mapping[str, Sequence[tuple[str, int, float, float]]]] = {}
+    """Fields that show another field more finely, for a robot's computer: a column is tanh((field[column] + offset) /
+    scale), described by (field, column, offset, scale)."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest `extra_reward`."""
     achieved_goal: Layout

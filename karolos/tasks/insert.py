@@ -47,6 +47,8 @@ SCALES = (0.004, 0.001)
 """Scales in m of additional observations tanh(error / scale): without them networks do not see .1 mm."""
 TURN_SCALE = 0.05
 """The same in rad."""
+NEAR = (0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)
+"""Axes of the errors and offsets in m: from the mouth of the hole, and from its bottom."""
 TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
 """Field that is also observed if the hole is not known exactly, and its scales in N, m, m and N m."""
 
@@ -157,6 +159,12 @@ class Insert(Task):
             Field("overloaded", 1, kind="scalar"),
         )
     )
+    fine_fields = {  # noqa: RUF012
+        "near_errors": [
+            *(("tip_from_hole", axis, offset, scale) for scale in SCALES for axis, offset in NEAR),
+            *(("peg_turn", axis, 0.0, TURN_SCALE) for axis in range(3)),
+        ]
+    }
     critic_only = Layout((Field("hole_error", 3, "m, rad"), Field("peg_forces", 2, "N")))
     measures = (
         Measure(
@@ -307,8 +315,7 @@ class Insert(Task):
     def observe(self) -> list[float]:
         place = seen(self._robot, self.tip_from_hole)
         values = self._robot.with_noise([*place, *self.turn, *self.tip_velocity, *self.spin])
-        x, y, z = values[:3]
-        near = [tanh(error / scale) for scale in SCALES for error in (x, y, z, z + DEPTH)]
+        near = [tanh((values[axis] + offset) / scale) for scale in SCALES for axis, offset in NEAR]
         near += [tanh(error / TURN_SCALE) for error in values[3:6]]
         rotation, wrench = self._robot.tool.orientation, self._robot.wrench
         felt = [*rotated(rotation, wrench[:3]), *rotated(rotation, wrench[3:])]
