@@ -13,6 +13,7 @@ SHA256SUMS               of every file
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -53,7 +54,6 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
     """Write the bundle of a run's policy.
 
     Args:
-        folder: the run's.
         out: folder to write to; it must be empty, or hold an older bundle.
         checkpoint: `best` or `last`.
 
@@ -84,7 +84,9 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
         contract["start"] = [seen["start"].min(0).tolist(), seen["start"].max(0).tolist()]
         with writing(out):
             np.savez(out / "episode.npz", **logged)
-            _film(out, environment, saved)
+            with suppress(MachineError):  # this machine cannot draw pictures; the page says that there is no film
+                moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
+                write_film(out / "film.mp4", moments, environment, (640, 480))
             (out / "policy.json").unlink()
             write_json(out / "spec.json", saved.spec.dump())
             write_json(out / "run.json", folder.description())
@@ -107,14 +109,6 @@ def _make_room(out: Path) -> None:
         )
     for name in found:
         (out / name).unlink()
-
-
-def _film(out: Path, environment: RobotTask, saved: SavedAgent) -> None:
-    try:
-        moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
-        write_film(out / "film.mp4", moments, environment, (640, 480))
-    except MachineError:
-        pass  # this machine cannot draw pictures; the page says that there is no film
 
 
 def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
@@ -218,7 +212,7 @@ def record(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Play `EPISODES` test episodes. Returns the columns of the first one, and all inputs and outputs."""
     arm, task = arm_of(environment), environment.task
-    full = arm.observation + task.observation
+    full, size = arm.observation + task.observation, environment.signature.observation.acting.size
     measured = [one["name"] for one in contract["observation"] if one["formula"] == "measured"]
     rows: list[dict[str, Any]] = []
     seen: dict[str, list[Any]] = {"observation": [], "desired_goal": [], "action": [], "start": []}
@@ -226,15 +220,12 @@ def record(
 
     def act(step: Any) -> Any:
         action = policy.act(step)
-        size = contract_size(contract["observation"])
-        for name, value in (
-            ("observation", step.observation[:size]),
-            ("desired_goal", step.desired_goal),
-            ("action", action),
-        ):
+        acted = {"observation": step.observation[:size], "desired_goal": step.desired_goal, "action": action}
+        for name, value in acted.items():
             seen[name].append(value)
         if not episode:
-            values = dict(zip(full.names, _split(full, environment), strict=True))
+            numbers = np.array([*arm.observe(), *task.observe()])  # without noise
+            values = {name: numbers[full.slice(name)] for name in full.names}
             rows.append(
                 {
                     "time": len(rows) * arm.period,
@@ -245,9 +236,7 @@ def record(
                     "overloaded": values.get("overloaded", [0.0])[0],
                     "set_point": values.get("set_point", np.zeros(6)),
                     **{f"measured_{name}": values[name] for name in measured},
-                    "observation": step.observation[:size],
-                    "desired_goal": step.desired_goal,
-                    "action": action,
+                    **acted,
                 }
             )
         return action
@@ -264,17 +253,6 @@ def arm_of(environment: RobotTask) -> Arm:
     arm: object = environment.robot
     assert isinstance(arm, Arm)
     return arm
-
-
-def contract_size(fields: list[dict[str, Any]]) -> int:
-    """Total number of columns of these fields."""
-    return sum(one["size"] for one in fields)
-
-
-def _split(full: Layout, environment: RobotTask) -> list[Any]:
-    """The current fields of the full observation, without noise."""
-    values = np.array([*environment.robot.observe(), *environment.task.observe()])
-    return [values[full.slice(name)] for name in full.names]
 
 
 def _add_ranges(fields: list[dict[str, Any]], seen: Any) -> None:

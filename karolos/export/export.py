@@ -49,7 +49,6 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     """Write a run's policy for use without karolos; files of an earlier export there are replaced.
 
     Args:
-        folder: the run's.
         out: folder to write to; it is created if it is missing.
         checkpoint: `best` or `last`.
         onnx: whether to write policy.onnx too; None: if the package onnx is installed.

@@ -119,8 +119,6 @@ class Chain:
         """Change of the joints (n,) in rad that moves the tool towards a pose: one step of damped least squares.
 
         Args:
-            at: the current configuration.
-            target: of the tool.
             posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
         """
         (qx, qy, qz), (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = target

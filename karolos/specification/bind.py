@@ -33,8 +33,7 @@ class Invalid:
 def bind(tree: Node) -> tuple[Plugins, list[Problem]]:
     """The plugins that the tree's parts name, imported one at a time, and problems with these names.
 
-    Raises:
-        PluginError: a plugin is broken; at the position that names it.
+    Raises PluginError if a plugin is broken; at the position that names it.
     """
     plugins: dict[tuple[str, ...], type[Any]] = {}
     problems = list(_environment_problems(tree))

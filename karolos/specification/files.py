@@ -81,8 +81,7 @@ def find_spec(given: str | Path) -> tuple[Path, str]:
 def shipped_text(name: str) -> str:
     """The text of a shipped spec with `extends: karolos:NAME`, so that it loads from any folder.
 
-    Raises:
-        UsageError: there is no such spec.
+    Raises UsageError if there is no such spec.
     """
     path, source = find_spec(f"{SHIPPED}{name.removeprefix(SHIPPED)}")
     if not path.exists():
@@ -122,8 +121,7 @@ class SpecFiles:
     def load(self) -> Node:
         """The merged tree of nodes without shorthand. Collects problems; raises those of the root file.
 
-        Raises:
-            SpecError: the root file cannot be read.
+        Raises SpecError if the root file cannot be read.
         """
         path, name = find_spec(self.root)
         if wrong := unreadable(path):
@@ -291,15 +289,13 @@ def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Probl
     """The document in `text`, and the problems after which reading can continue.
 
     Args:
-        text: one YAML document.
         source: name of the file or override, for positions.
         rank: index of this source, for sorting problems.
 
     Returns:
         The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
 
-    Raises:
-        SpecError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
+    Raises SpecError if the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """
     reader = _YamlReader(source, rank)
     if len(text) > MAX_CHARACTERS:

@@ -76,8 +76,7 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
 def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> tuple[Node, Spec | None, list[Problem]]:
     """The written tree with changes on top, its Spec if it is valid, and the problems at their positions.
 
-    Raises:
-        PluginError: a plugin is broken; at the position that names it.
+    Raises PluginError if a plugin is broken; at the position that names it.
     """
     tree = merge(written, changes, stem)
     plugins, problems = bind(tree)
@@ -90,8 +89,7 @@ def _spec(
 ) -> Spec:
     """The spec of the written tree, with changes on top.
 
-    Raises:
-        SpecError: it is invalid; carries these and all other problems, each at the change that causes it.
+    Raises SpecError if it is invalid; carries these and all other problems, each at the change that causes it.
     """
     tree, spec, found = _resolve(written, changes, stem)
     refuse([*problems, *variable_problems(tree), *_at_causes(found, written, changes, stem)])
@@ -139,14 +137,11 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     """The spec of one trial of a sweep.
 
     Args:
-        base: the spec that has the sweep.
         drawn: parameter -> number, or label of a choice.
         name: of the trial's runs.
-        seeds: of the trial's runs.
         source: the origin of its settings, e.g. "trial 7".
 
-    Raises:
-        SpecError: these values are incompatible; reported at `source`.
+    Raises SpecError if these values are incompatible; reported at `source`.
     """
     assert base.sweep is not None  # only such a spec has trials
     mark, space = Mark(source), base.sweep.space
@@ -158,14 +153,10 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
     """The spec of the runs of one variant of a transfer, changed as overrides would change it.
 
     Args:
-        base: the spec that has the transfer.
-        variant: of the transfer.
         name: of the runs.
-        seeds: on which it is run.
         fine_tune: whether to change also the settings of fine-tuning.
 
-    Raises:
-        SpecError: the settings are incompatible; reported where they are set.
+    Raises SpecError if the settings are incompatible; reported where they are set.
     """
     transfer = base.transfer
     assert transfer is not None  # only such a spec has variants

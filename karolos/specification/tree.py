@@ -174,8 +174,7 @@ def dotted(path: Sequence[str | int]) -> str:
 def from_plain(value: object, mark: Mark) -> Node:
     """A tree of nodes from dicts, lists, tuples and scalars, all with the same mark.
 
-    Raises:
-        SpecError: values that a spec cannot contain; carries all of them.
+    Raises SpecError for values that a spec cannot contain; carries all of them.
     """
     problems: list[Problem] = []
     node = _from_plain(value, mark, (), problems)
