@@ -407,5 +407,4 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER_LIKE, list("-+.
 
 def to_yaml(spec: dict[str, Any]) -> str:
     """A resolved spec as YAML that loads as the same spec."""
-    text: str = yaml.dump(spec, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)
-    return text
+    return yaml.dump(spec, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)

@@ -186,8 +186,7 @@ class BulletMotors:
 
     def wrench(self) -> Sequence[float]:
         self.feels = True
-        felt: list[float] = self._wrench.tolist()
-        return felt
+        return self._wrench.tolist()
 
     def set_wrench_filter(self, seconds: float) -> None:
         self._share = 1 - exp(-self._timestep / seconds) if seconds else 1.0
