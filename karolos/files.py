@@ -113,7 +113,7 @@ INSTALLED = "installed:"
 
 def installed_file(name: str) -> Path | None:
     """The file that `installed:PACKAGE/PATH` names; None if it does not exist."""
-    from importlib import metadata  # noqa: PLC0415  (every command imports this module; metadata imports email)
+    from importlib import metadata  # noqa: PLC0415  (every command imports this module, and metadata imports email)
 
     package, _, end = name.removeprefix(INSTALLED).partition("/")
     try:
