@@ -231,5 +231,6 @@ def _side(selector: str, runs: Path, database: str | None) -> Side:
     if is_spec(selector) or selector.endswith((".yaml", ".yml")):
         from karolos.specification import load_spec
 
-        return of_spec(load_spec(Path(selector)), selector)
+        spec = load_spec(Path(selector))
+        return of_spec(spec.alone().dump(), spec.files(), selector)
     return of_run(open_run(selector, runs, database))

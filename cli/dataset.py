@@ -87,7 +87,7 @@ def dataset(
     if camera and (format != "lerobot" or size % 2):
         raise UsageError("--camera needs --format lerobot and an even --size")
     if format != "karolos":
-        from karolos.recordings.source import require
+        from karolos.recordings.recording import require
 
         require({"lerobot": "pyarrow"}.get(format, format), format, f"--format {format}")
     from karolos.recordings.playing import Recorder, expert_act

@@ -28,7 +28,7 @@ from .arguments import (
 from .output import print_rows, print_table, say, warn
 
 if TYPE_CHECKING:
-    from karolos.evaluation.playing import Moment
+    from karolos.core import Moment
     from karolos.records import RunFolder
 
 

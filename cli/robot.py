@@ -110,7 +110,7 @@ def score(
     like those of `karolos test`.
     """
     from karolos.files import write_json, writing
-    from karolos.plugins.robot_score import (
+    from karolos.plans.robot_score import (
         arms_table,
         kept_scores,
         kept_table,

@@ -81,6 +81,11 @@ def below(root: Path, name: str) -> Path:
     return path
 
 
+def user_cache() -> Path:
+    """The folder of karolos in this user's cache folder. Raises RuntimeError if there is no known home."""
+    return system.user_cache() / "karolos"
+
+
 def is_portable(name: str) -> bool:
     """Whether Windows, too, allows a file of this name."""
     return name.partition(".")[0].lower() not in system.RESERVED_NAMES and not name.endswith(".")

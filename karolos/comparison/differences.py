@@ -11,7 +11,6 @@ from typing import Any, Final
 
 from ..records import RunFolder, provenance
 from ..records.run_records import without_seeds
-from ..specification import Spec
 
 _FILE = re.compile(r"^diff --git a/.* b/(.*)$", re.MULTILINE)
 
@@ -73,13 +72,11 @@ def of_run(folder: RunFolder) -> Side:
     )
 
 
-def of_spec(spec: Spec, name: str) -> Side:
-    """The side of a run of this spec as it would be now, in the current folder."""
+def of_spec(resolved: Mapping[str, Any], files: Mapping[str, str], name: str) -> Side:
+    """The side of a run of a resolved spec with these files (`Spec.files`), as it would be now in this folder."""
     git, patch = provenance.code(Path.cwd()) or ({}, "")
-    commit = git.get("commit")
-    dump = spec.alone().dump()
-    sources = provenance.sources(provenance.packages(dump)) | spec.files()
-    return Side(name, dump, provenance.versions(), sources, None, commit, patch)
+    sources = provenance.sources(provenance.packages(resolved)) | {**files}
+    return Side(name, resolved, provenance.versions(), sources, None, git.get("commit"), patch)
 
 
 def compare_sides(a: Side, b: Side) -> Iterator[dict[str, Any]]:

@@ -7,7 +7,7 @@ next state is 0) or `truncated` (the next state has a value). Continuous actions
 
 from .agent import Agent, Deployed, Layer, Output
 from .buffer import Buffer
-from .environment import Environment, Expert
+from .environment import Environment, Expert, Moment
 from .experience import Batch, Experience, Rollout, State, Step, Transitions
 from .orchestrator import BuildEnvironment, Failure, Orchestrator, Received
 from .seeding import Generator, SeedTree, generator_state, load_generator_state
@@ -49,6 +49,7 @@ __all__ = [
     "Layer",
     "Layout",
     "Measure",
+    "Moment",
     "Orchestrator",
     "Output",
     "Received",

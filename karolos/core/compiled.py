@@ -22,8 +22,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCa
 from numba.core.dispatcher import Dispatcher
 
 from ..errors import MachineError
-from ..files import FileLock
-from ..system import user_cache
+from ..files import FileLock, user_cache
 
 VARIABLE = "KAROLOS_CACHE"
 """Environment variable with the folder of compiled functions."""
@@ -80,7 +79,7 @@ def cache_folder() -> Path:
     Raises RuntimeError where no home is known.
     """
     named = os.environ.get(VARIABLE)
-    folder = Path(named).expanduser().absolute() if named else user_cache() / "karolos"
+    folder = Path(named).expanduser().absolute() if named else user_cache()
     with suppress(OSError):  # numba tries to write, too
         folder.mkdir(0o700, parents=True, exist_ok=True)
     return folder

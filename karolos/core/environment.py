@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +100,23 @@ class Environment(ABC):
 
     def close(self) -> None:  # noqa: B027 (nothing to free by default)
         """Release resources. Safe to call twice."""
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A step of a played episode, for spectators."""
+
+    episode: int
+    """Number of the episode, from 0."""
+    step: int
+    """Steps so far; 0 after the reset."""
+    success: bool
+    over: bool
+    """Whether the episode ends here."""
+    total: float
+    """Sum of the rewards so far."""
+    environment: Environment
+    """For pictures: `environment.render()`."""
 
 
 def close(environment: Environment) -> None:

@@ -74,6 +74,10 @@ class Layout:
         names = [f"{field.name}[{inside}]" for field in self.fields for inside in range(field.size)]
         return names[place]
 
+    def described(self) -> list[dict[str, Any]]:
+        """Name, size and unit of each field, as JSON values."""
+        return [{"name": field.name, "size": field.size, "unit": field.unit} for field in self.fields]
+
     def __add__(self, other: Layout) -> Layout:
         return Layout(self.fields + other.fields)
 
@@ -91,6 +95,10 @@ class Discrete:
     def size(self) -> int:
         """Columns of a stored action."""
         return 1
+
+    def described(self) -> dict[str, list[str]]:
+        """The labels, as JSON values."""
+        return {"labels": list(self.labels)}
 
 
 class GoalRule(ABC):

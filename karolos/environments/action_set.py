@@ -27,9 +27,6 @@ class ActionSet:
 
     The gripper's opening is a position, not a change: one action closes or opens it, and every other action keeps the
     last command.
-
-    Args:
-        layout: of the robot's continuous action.
     """
 
     def __init__(self, layout: Layout) -> None:

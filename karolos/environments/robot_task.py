@@ -44,10 +44,6 @@ class RobotTask(Environment):
     without success, by a protective stop of the robot.
     Measures: time to success, distance and angle to the goal if its rule has them, then the robot's and the task's.
 
-    Args:
-        robot: a robot plugin's instance.
-        task: a task plugin's instance.
-
     Raises:
         PluginError: robot and task are incompatible, or both declare a measure of one name.
         UsageError: `omit` names an unknown field, or the engine is not installed.
@@ -165,11 +161,6 @@ class RobotTask(Environment):
         self._stages = {name.removeprefix(STAGE): k for k, name in enumerate(names) if name.startswith(STAGE)}
         """Stage -> column of its probability among the parameters."""
         self.signature = replace(self.signature, parameters=self._randomization.layout)
-
-    @property
-    def stops(self) -> int:
-        """Number of protective stops in the running episode, including stops that are only counted."""
-        return self.robot.stops
 
     @property
     def camera(self) -> Camera:

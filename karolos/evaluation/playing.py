@@ -4,35 +4,17 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
 from statistics import fmean
 
 import numpy as np
 
-from ..core import Environment, FloatArray
+from ..core import Environment, FloatArray, Moment
 from ..environments.build import used
 from ..errors import UsageError
 from ..records.evaluation import Evaluation
 from ..specification import Spec
 from .policies import Policy, environment_of
 from .testing import measured, test_seeds
-
-
-@dataclass(frozen=True)
-class Moment:
-    """One step of an episode."""
-
-    episode: int
-    """Number of the episode, from 0."""
-    step: int
-    """Steps so far; 0 after the reset."""
-    success: bool
-    over: bool
-    """Whether the episode ends here."""
-    total: float
-    """Sum of the rewards so far."""
-    environment: Environment
-    """For pictures: `environment.render()`."""
 
 
 class FirstSuccesses(dict[int, int]):

@@ -13,6 +13,7 @@ SHA256SUMS               of every file
 from __future__ import annotations
 
 import hashlib
+from contextlib import suppress
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -33,6 +34,7 @@ from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
 from ..robots.protective_stop import ProtectiveStop
 from ..simulation.geometry import matrix_of
+from ..simulation.interface import Task
 from .export import Exported, export_policy
 from .page import page
 
@@ -52,7 +54,6 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
     """Write the bundle of a run's policy.
 
     Args:
-        folder: the run's.
         out: folder to write to; it must be empty, or hold an older bundle.
         checkpoint: `best` or `last`.
 
@@ -83,7 +84,9 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
         contract["start"] = [seen["start"].min(0).tolist(), seen["start"].max(0).tolist()]
         with writing(out):
             np.savez(out / "episode.npz", **logged)
-            _film(out, environment, saved)
+            with suppress(MachineError):  # this machine cannot draw pictures; the page says that there is no film
+                moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
+                write_film(out / "film.mp4", moments, environment, (640, 480))
             (out / "policy.json").unlink()
             write_json(out / "spec.json", saved.spec.dump())
             write_json(out / "run.json", folder.description())
@@ -106,14 +109,6 @@ def _make_room(out: Path) -> None:
         )
     for name in found:
         (out / name).unlink()
-
-
-def _film(out: Path, environment: RobotTask, saved: SavedAgent) -> None:
-    try:
-        moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
-        write_film(out / "film.mp4", moments, environment, (640, 480))
-    except MachineError:
-        pass  # this machine cannot draw pictures; the page says that there is no film
 
 
 def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
@@ -139,8 +134,8 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
             ],
         },
         **describe_robot(environment, spec["robot"]["name"]),
-        "observation": _observed(signature.observation.acting, task.settings),
-        "desired_goal": _fields(signature.desired_goal),
+        "observation": _observed(signature.observation.acting, task),
+        "desired_goal": signature.desired_goal.described(),
         "episode": {"steps": task.max_steps, "task": spec["task"]},
         "randomized": drawn,
         "not_randomized": {
@@ -195,13 +190,9 @@ def _gripper(arm: Arm) -> dict[str, Any]:
     return {"closed": -1, "open": 1, "width": width, "force": force, "speed": getattr(found, "speed", None)}
 
 
-def _fields(layout: Layout) -> list[dict[str, Any]]:
-    return [{"name": field.name, "size": field.size, "unit": field.unit} for field in layout.fields]
-
-
-def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
+def _observed(layout: Layout, task: Task) -> list[dict[str, Any]]:
     """The fields of the observation, each with the formula by which it is computed on a robot."""
-    fields = _fields(layout)
+    fields = layout.described()
     for field in fields:
         name = field["name"]
         stem = name.removesuffix("_from_tool")
@@ -209,20 +200,11 @@ def _observed(layout: Layout, task: Any) -> list[dict[str, Any]]:
             field["formula"] = ROBOT[name]
         elif stem != name and f"{stem}_position" in layout.names:
             field |= {"formula": "difference", "of": [f"{stem}_position", "tool_position"]}
-        elif name == "near_errors" and hasattr(task, "play"):
-            field |= {"formula": "tanh", "of": _near_errors()}
+        elif name in task.fine_fields:
+            field |= {"formula": "tanh", "of": [list(one) for one in task.fine_fields[name]]}
         else:
             field["formula"] = "measured"
     return fields
-
-
-def _near_errors() -> list[list[Any]]:
-    """Field, column, offset and scale for each column of the task insert's `near_errors`."""
-    from ..tasks.insert import DEPTH, SCALES, TURN_SCALE  # noqa: PLC0415
-
-    places = [(0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)]
-    near = [["tip_from_hole", column, added, scale] for scale in SCALES for column, added in places]
-    return near + [["peg_turn", column, 0.0, TURN_SCALE] for column in range(3)]
 
 
 def record(
@@ -230,7 +212,7 @@ def record(
 ) -> tuple[dict[str, Any], dict[str, Any]]:
     """Play `EPISODES` test episodes. Returns the columns of the first one, and all inputs and outputs."""
     arm, task = arm_of(environment), environment.task
-    full = arm.observation + task.observation
+    full, size = arm.observation + task.observation, environment.signature.observation.acting.size
     measured = [one["name"] for one in contract["observation"] if one["formula"] == "measured"]
     rows: list[dict[str, Any]] = []
     seen: dict[str, list[Any]] = {"observation": [], "desired_goal": [], "action": [], "start": []}
@@ -238,15 +220,12 @@ def record(
 
     def act(step: Any) -> Any:
         action = policy.act(step)
-        size = contract_size(contract["observation"])
-        for name, value in (
-            ("observation", step.observation[:size]),
-            ("desired_goal", step.desired_goal),
-            ("action", action),
-        ):
+        acted = {"observation": step.observation[:size], "desired_goal": step.desired_goal, "action": action}
+        for name, value in acted.items():
             seen[name].append(value)
         if not episode:
-            values = dict(zip(full.names, _split(full, environment), strict=True))
+            numbers = np.array([*arm.observe(), *task.observe()])  # without noise
+            values = {name: numbers[full.slice(name)] for name in full.names}
             rows.append(
                 {
                     "time": len(rows) * arm.period,
@@ -257,9 +236,7 @@ def record(
                     "overloaded": values.get("overloaded", [0.0])[0],
                     "set_point": values.get("set_point", np.zeros(6)),
                     **{f"measured_{name}": values[name] for name in measured},
-                    "observation": step.observation[:size],
-                    "desired_goal": step.desired_goal,
-                    "action": action,
+                    **acted,
                 }
             )
         return action
@@ -276,17 +253,6 @@ def arm_of(environment: RobotTask) -> Arm:
     arm: object = environment.robot
     assert isinstance(arm, Arm)
     return arm
-
-
-def contract_size(fields: list[dict[str, Any]]) -> int:
-    """Total number of columns of these fields."""
-    return sum(one["size"] for one in fields)
-
-
-def _split(full: Layout, environment: RobotTask) -> list[Any]:
-    """The current fields of the full observation, without noise."""
-    values = np.array([*environment.robot.observe(), *environment.task.observe()])
-    return [values[full.slice(name)] for name in full.names]
 
 
 def _add_ranges(fields: list[dict[str, Any]], seen: Any) -> None:

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from karolos_deploy.policy import FORMAT, NumpyPolicy
 
-from ..core import Deployed, Discrete, Layout
+from ..core import Deployed
 from ..core.seeding import SeedTree
 from ..environments.build import used
 from ..errors import RunError
@@ -49,7 +49,6 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
     """Write a run's policy for use without karolos; files of an earlier export there are replaced.
 
     Args:
-        folder: the run's.
         out: folder to write to; it is created if it is missing.
         checkpoint: `best` or `last`.
         onnx: whether to write policy.onnx too; None: if the package onnx is installed.
@@ -127,7 +126,7 @@ def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
 
 def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
     """Content of policy.json."""
-    spec, signature, action = saved.spec.dump(), saved.signature, saved.signature.action
+    spec, signature = saved.spec.dump(), saved.signature
     with used(environment_of(playable(saved.spec))) as environment:
         facts: dict[str, Any] = getattr(getattr(environment, "robot", None), "facts", dict)()
     return {
@@ -139,13 +138,9 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
         "karolos": provenance.versions()["karolos"],
         "agent": spec["agent"]["name"],
         "output": policy.output,
-        "observation": _fields(signature.observation.acting),
-        "desired_goal": _fields(signature.desired_goal),
-        "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        "observation": signature.observation.acting.described(),
+        "desired_goal": signature.desired_goal.described(),
+        "action": signature.action.described(),
         "robot": facts,
         "trained_in": {key: spec[key] for key in ("robot", "task", "environment") if key in spec},
     }
-
-
-def _fields(layout: Layout) -> list[dict[str, object]]:
-    return [{"name": field.name, "size": field.size, "unit": field.unit} for field in layout.fields]

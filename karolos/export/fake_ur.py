@@ -14,7 +14,6 @@ import struct
 import sys
 import time
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,13 +55,7 @@ class Subscriber:
 
 
 class FakeUR(Server):
-    """Serves the ports of a controller. `do: fault` makes it fail.
-
-    Args:
-        bundle: folder of the bundle.
-        host: loopback address.
-        settings: of the simulated robot.
-    """
+    """Serves the ports of a controller. `do: fault` makes it fail."""
 
     def __init__(self, bundle: Path, host: str, settings: dict[str, str]) -> None:
         super().__init__(bundle, host)
@@ -278,14 +271,7 @@ def main(arguments: list[str]) -> None:
         server = FakeUR(Path(bundle), host, dict(one.split("=", 1) for one in others))
     except (BundleError, KarolosError, OSError) as error:
         sys.exit(str(error))
-    server.watch(sys.stdin, partial(_until_end, server))
-    print(f"{server.host}:{server.port}", flush=True)
     server.serve()
-
-
-def _until_end(server: Server, stream: Any) -> None:
-    if not stream.readline():
-        server.end()
 
 
 if __name__ == "__main__":

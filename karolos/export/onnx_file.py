@@ -35,13 +35,10 @@ def write_onnx(path: Path, policy: Deployed, sizes: tuple[int, int], facts: Mapp
     [-1, 1], or for a discrete set the index, int64 (n,).
 
     Args:
-        path: to write to.
-        policy: the policy.
         sizes: o and g; g is 0 without goals.
         facts: texts for the model's metadata.
 
-    Raises:
-        MachineError: the file cannot be written.
+    Raises MachineError if the file cannot be written.
     """
     import onnx  # noqa: PLC0415  (optional)
 

@@ -44,7 +44,6 @@ class SimulatedRobot:
     """The robot of a bundle in the world of its task.
 
     Args:
-        bundle: folder of the bundle.
         settings: `seed` and `change`, as the driver `simulation` says.
     """
 
@@ -164,22 +163,16 @@ def lines(rest: bytearray) -> Iterator[bytes]:
 
 
 class Server:
-    """Listens on sockets, answers requests, and runs a simulated robot in real time, in one thread.
+    """Listens on sockets, answers requests, and runs a simulated robot in real time, in one thread."""
 
-    Args:
-        bundle: folder of the bundle.
-        host: to listen on.
-        port: of the requests; 0: any free port.
-    """
-
-    def __init__(self, bundle: Path, host: str = "127.0.0.1", port: int = 0) -> None:
+    def __init__(self, bundle: Path, host: str = "127.0.0.1") -> None:
         self.bundle, self.host = bundle, host
         self.robot: SimulatedRobot | None = None
         self.real = True
         self._late = 0.0
         self._running = True
         self._selector = selectors.DefaultSelector()
-        self.port = self.listen(port, self.answer_lines)
+        self.port = self.listen(0, self.answer_lines)
 
     def listen(self, port: int, eat: Callable[[socket.socket, bytearray], None], greet: bytes = b"") -> int:
         """Let `eat` consume complete messages from the bytes of each connection to a port. Returns the port."""
@@ -263,7 +256,9 @@ class Server:
         self.robot.advance(now)
 
     def serve(self) -> None:
-        """Answer until `end` is called."""
+        """Print the address, and answer until stdin or `end` ends it."""
+        self.watch(sys.stdin, lambda stream: None if stream.readline() else self.end())
+        print(f"{self.host}:{self.port}", flush=True)
         gc.collect()
         gc.freeze()  # a later garbage collection of all imports would take 90 ms
         while self._running:
@@ -271,18 +266,10 @@ class Server:
                 key.data(key.fileobj)
             self.tick()
 
-    def end(self, _: Any = None) -> None:
+    def end(self) -> None:
         """Stop serving."""
         self._running = False
 
 
-def main(arguments: list[str]) -> None:
-    """Serve the robot of a bundle until stdin ends."""
-    server = Server(Path(arguments[0]))
-    server.watch(sys.stdin, lambda stream: None if stream.readline() else server.end())
-    print(f"{server.host}:{server.port}", flush=True)
-    server.serve()
-
-
 if __name__ == "__main__":
-    main(sys.argv[1:])
+    Server(Path(sys.argv[1])).serve()

@@ -1,1 +1,1 @@
-"""Plans: sweeps, suites and matrices of transfers. Their runs are ordinary runs. Only `study` uses Optuna."""
+"""Plans: sweeps, suites and matrices of transfers, with ordinary runs; scores of robots. Only `study` uses Optuna."""

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field
+from inspect import getdoc
 from typing import Any, get_args
 
 import numpy as np
@@ -89,7 +91,7 @@ def inspect_robot(name: str, *, size: tuple[int, int] | None = (960, 720)) -> In
     tables["measures"] = [asdict(one) for one in first.measures]
     tables["parameters"] = _parameters({f"robot.{key}": value for key, value in first.parameters.items()})
     tables["settings"] = _settings(plugin)
-    return Inspection(name, _about(plugin), tables, picture(name, None, size))
+    return Inspection(name, getdoc(plugin) or "", tables, picture(name, None, size))
 
 
 @blaming()
@@ -112,7 +114,8 @@ def inspect_gripper(name: str, *, size: tuple[int, int] | None = (960, 720)) -> 
         "tool": [{"what": "tool centre point", **_named("x_m y_m z_m", model.tool)}],
         "workspace": arms,
     }
-    return Inspection(name, _about(plugin), tables, picture(first, None, size, gripper=name) if first else None)
+    shown = picture(first, None, size, gripper=name) if first else None
+    return Inspection(name, getdoc(plugin) or "", tables, shown)
 
 
 def _arm(arm: Arm) -> dict[str, list[Facts]]:
@@ -159,17 +162,10 @@ def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | Non
     plugin = load("tasks", name)
     environment = pair(robot, name)
     signature, task = environment.signature, environment.task
-    rule: Any = signature.goal_rule
+    rule = type(signature.goal_rule).__name__, *map(float, signature.reward_range), signature.max_steps
+    columns = "rule reward_low reward_high max_steps uses_gripper"
     tables: dict[str, list[Facts]] = {
-        "goal rule": [
-            {
-                "rule": type(rule).__name__,
-                "reward_low": float(signature.reward_range[0]),
-                "reward_high": float(signature.reward_range[1]),
-                "max_steps": signature.max_steps,
-                "uses_gripper": task.uses_gripper,
-            }
-        ],
+        "goal rule": [_named(columns, (*rule, task.uses_gripper))],
         "achieved goal": _fields(signature.achieved_goal),
         "desired goal": _fields(signature.desired_goal),
         "observation": _fields(task.observation),
@@ -178,13 +174,7 @@ def inspect_task(name: str, robot: str = "panda", *, size: tuple[int, int] | Non
         "settings": _settings(plugin),
     }
     environment.close()
-    return Inspection(name, _about(plugin), tables, picture(robot, name, size))
-
-
-def _about(plugin: type) -> str:
-    import inspect  # noqa: PLC0415
-
-    return inspect.getdoc(plugin) or ""
+    return Inspection(name, getdoc(plugin) or "", tables, picture(robot, name, size))
 
 
 def _fields(layout: Layout | Discrete) -> list[Facts]:
@@ -221,19 +211,11 @@ def picture(robot: str, task: str | None, size: tuple[int, int] | None, **settin
         return None
     width, height = size
     if task is None:
-        alone, world = (
-            _prepared(load("robots", robot), None, **settings),
-            make_world(RobotTask.Settings.model_validate({}).engine),
-        )
-        try:
+        alone = _prepared(load("robots", robot), None, **settings)
+        with closing(make_world(RobotTask.Settings.model_validate({}).engine)) as world:
             alone.build(world)
             alone.reset(SeedTree(0).generator())
             return world.render(width, height, Camera(base=alone.base))
-        finally:
-            world.close()
-    environment = pair(robot, task)
-    try:
+    with closing(pair(robot, task)) as environment:
         environment.reset(test_seeds(0, 1)[0])
         return environment.render(width, height)
-    finally:
-        environment.close()

@@ -25,7 +25,6 @@ def check_file(
     A file that cannot be used as it is is replaced by its repaired copy, if that can be used.
 
     Args:
-        path: of the URDF.
         repaired: where to write the repaired copy; None: nowhere.
         mass: of the arm in kg, as the data sheet says.
         promises: whether to check the promises of a robot, which takes some seconds.

@@ -32,8 +32,7 @@ class Filmed(Environment):
         size: width and height of the pictures.
         rate: pictures per second of the film.
 
-    Raises:
-        UsageError: the environment has no cameras.
+    Raises UsageError if the environment has no cameras.
     """
 
     def __init__(

@@ -18,8 +18,7 @@ from numpy.typing import NDArray
 from .. import system
 from ..errors import UsageError
 from ..files import below, read_object, write_json, writing
-from .recording import STATES, Recording, column_names
-from .source import Columns, Dataset, refuse, require, rows_of
+from .recording import STATES, Columns, Dataset, Recording, column_names, refuse, require, rows_of
 
 VERSION = "v3.0"
 DATA = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -77,14 +76,12 @@ def write_lerobot(
     """Write a dataset. Files of an interrupted call are replaced.
 
     Args:
-        path: of the dataset's folder.
         about: meaning of the numbers, see `recording.describe`; `cameras` has the size of each film's pictures.
         recordings: in order; one is in memory at a time.
         task: the robot's task in words.
         films: folder with SEED-CAMERA.mp4 of each episode, which are copied into the dataset.
 
-    Raises:
-        MachineError: pyarrow is missing, or the folder cannot be written.
+    Raises MachineError if pyarrow is missing, or the folder cannot be written.
     """
     require("pyarrow", "lerobot", "a LeRobotDataset")
     import pyarrow as pa  # noqa: PLC0415

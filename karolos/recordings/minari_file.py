@@ -12,10 +12,8 @@ import numpy as np
 
 from .. import system
 from ..files import writing
-from .recording import STATES, Recording, column_names
-from .source import Columns, Dataset, refuse, require, rows_of
+from .recording import NAMES, STATES, Columns, Dataset, Recording, column_names, refuse, require, rows_of
 
-NAMES = {name: name for name in (*STATES, "action", "reward", "terminated")}
 FOLDER = "MINARI_DATASETS_PATH"
 """Environment variable with the folder of minari's datasets."""
 
@@ -23,8 +21,7 @@ FOLDER = "MINARI_DATASETS_PATH"
 def write_minari(path: Path, about: Mapping[str, Any], recordings: Iterable[Recording], name: str) -> None:
     """Write the dataset `name` ("karolos/panda_pick/expert-v0") below a folder. All episodes are in memory.
 
-    Raises:
-        MachineError: minari is missing, or the folder cannot be written.
+    Raises MachineError if minari is missing, or the folder cannot be written.
     """
     require("minari", "minari", "a Minari dataset")
     import minari  # noqa: PLC0415

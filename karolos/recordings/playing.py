@@ -82,11 +82,8 @@ class Recorder:
     environments nor an interruption changes it.
 
     Args:
-        environments: play the episodes.
-        act: chooses the actions.
         seeds: root of the seeds of episodes and noise.
         folder: begun; episodes that it holds are not played again.
-        episodes: to be kept.
         only_success: keep only episodes whose goal is reached at the last step.
         noise: standard deviation of Gaussian noise on continuous actions.
         random: probability that an action is uniformly random.
@@ -111,8 +108,7 @@ class Recorder:
     def run(self) -> list[Played]:
         """Play until enough episodes are kept. Returns all played episodes, in order.
 
-        Raises:
-            RunError: hardly any episode can be kept.
+        Raises RunError if hardly any episode can be kept.
         """
         played = self.folder.played()
         kept = sum(one.kept for one in played)

@@ -16,8 +16,7 @@ from ..environments.build import Facts
 from ..errors import UsageError
 from .lerobot import read_lerobot
 from .minari_file import read_minari
-from .recording import DESCRIPTION, EPISODES, RecordingFolder, facts_of
-from .source import Columns, Dataset, refuse
+from .recording import DESCRIPTION, Columns, Dataset, facts_of, read_own, refuse
 
 UNITS = {
     "mm": ("m", 1e-3),
@@ -55,33 +54,11 @@ def open_source(path: Path) -> Dataset:
     if (path / "data/metadata.json").is_file():
         return read_minari(path)
     if (path / DESCRIPTION).is_file():
-        return _read_own(path)
+        return read_own(path)
     what = "is no recording" if path.is_dir() else "there is no such folder"
     return refuse(
         path, what, "name a LeRobotDataset v3 (meta/), a Minari dataset (data/) or what `karolos dataset` wrote"
     )
-
-
-def _read_own(path: Path) -> Dataset:
-    folder = RecordingFolder(path)
-    about = folder.about()
-    try:
-        kept = [one for one in folder.played() if one.kept]
-        rate = float(about["rate"]) if about else 0.0
-    except (KeyError, TypeError, ValueError):
-        refuse(path, f"{DESCRIPTION} or {EPISODES} is damaged")
-
-    def read(place: int) -> Columns:
-        file = folder.file(kept[place].index)
-        try:
-            with np.load(file, allow_pickle=False) as arrays:
-                found = {name: arrays[name] for name in arrays.files if name != "seed"}
-        except (OSError, ValueError, EOFError) as error:
-            refuse(file, f"cannot be read: {error}", "copy it again")
-        return {name: array.reshape(len(array), -1) for name, array in found.items()}
-
-    names = {name: name for name in ("observation", "achieved_goal", "desired_goal", "action", "reward", "terminated")}
-    return Dataset(path, tuple(one.steps for one in kept), rate, names, read, about)
 
 
 def read_recordings(
@@ -98,7 +75,6 @@ def read_recordings(
     earlier.
 
     Args:
-        path: folder of the dataset.
         facts: of the environment that is to be learned.
         columns: where a field of observations, `observation`, `achieved_goal`, `desired_goal` or `action` stands in the
             dataset: see EXPRESSION. What is not named has the format's usual name.

@@ -1,4 +1,6 @@
-"""A recorded episode, the meaning of its numbers, and our own format: a folder that grows episode by episode.
+"""A recorded episode, the meaning of its numbers, datasets of any format, and our own format.
+
+Our own format is a folder that grows episode by episode:
 
 recording.json   meaning of the numbers, see `describe`
 episodes.jsonl   one line per played episode: index, seed, steps, success, and whether it was kept
@@ -7,21 +9,28 @@ episodes/        one .npz per kept episode
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
 from ..environments.build import Facts
+from ..errors import MachineError, UsageError
 from ..files import append_lines, read_lines, read_object, write_json, writing
 
 FORMAT = 1
 DESCRIPTION, EPISODES, FILES = "recording.json", "episodes.jsonl", "episodes"
 STATES = ("observation", "achieved_goal", "desired_goal")
 """Arrays of an episode of n steps with n + 1 rows; the first row is that of the reset."""
+NAMES = {name: name for name in (*STATES, "action", "reward", "terminated")}
+"""Columns of our own format and of Minari."""
+SETTING = "demonstrations.file"
+Columns = dict[str, NDArray[Any]]
+"""Columns of one episode of n steps, by name: (n, k), or (n + 1, k) if the last state is recorded, too."""
 
 
 @dataclass(frozen=True)
@@ -70,14 +79,10 @@ class Played:
 def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
     """Meaning of the numbers of a recording, as JSON-able data; `about` says its origin."""
     signature = facts.signature
-    action = signature.action
     return {
         "format": FORMAT,
         "rate": facts.rate,
-        "observation": _fields(signature.observation),
-        "achieved_goal": _fields(signature.achieved_goal),
-        "desired_goal": _fields(signature.desired_goal),
-        "action": {"labels": list(action.labels)} if isinstance(action, Discrete) else _fields(action),
+        **{name: getattr(signature, name).described() for name in (*STATES, "action")},
         "scales": {name: [unit, list(moved)] for name, (unit, moved) in facts.scales.items()},
         "base": facts.base,
         "max_steps": signature.max_steps,
@@ -99,10 +104,6 @@ def facts_of(about: Mapping[str, Any]) -> Facts:
     return Facts(signature, float(about["rate"]), scales, about["base"])
 
 
-def _fields(layout: Layout) -> list[dict[str, Any]]:
-    return [{"name": one.name, "size": one.size, "unit": one.unit} for one in layout.fields]
-
-
 def _layout(fields: list[dict[str, Any]]) -> Layout:
     return Layout(tuple(Field(str(one["name"]), int(one["size"]), str(one["unit"])) for one in fields))
 
@@ -113,6 +114,46 @@ def column_names(fields: list[dict[str, Any]] | dict[str, Any]) -> list[str]:
         return ["action"]
     layout = _layout(fields)
     return [layout.column(place) for place in range(layout.size)]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """A dataset that can be read."""
+
+    path: Path
+    lengths: tuple[int, ...]
+    """Steps of each episode."""
+    rate: float
+    """Steps per second; 0 if the format does not say."""
+    names: Mapping[str, str]
+    """The format's columns for observation, achieved_goal, desired_goal, action and reward."""
+    read: Callable[[int], Columns]
+    """Function from an episode's number to its columns."""
+    about: dict[str, Any] | None = None
+    """Description in a dataset that karolos wrote, see `recording.describe`."""
+
+
+def refuse(path: Path, what: str, hint: str | None = None) -> NoReturn:
+    """Raise a UsageError about a dataset, or one of its files."""
+    text = f"{path}: {what}"
+    raise UsageError(text if text.isprintable() else ascii(text)[1:-1], setting=SETTING, hint=hint)
+
+
+def require(package: str, extra: str, what: str) -> None:
+    """Raise a MachineError if a package that a format needs is missing."""
+    try:
+        __import__(package)
+    except ImportError as error:
+        hint = f"pip install 'karolos[{extra}]'"
+        raise MachineError(f"{what} needs the package {package}, which is missing", hint=hint) from error
+
+
+def rows_of(values: Any) -> NDArray[Any]:
+    """Numbers of an episode as (n, k). Raises ValueError or TypeError for anything else."""
+    array = np.asarray(values)
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"it holds {array.dtype}, not numbers")
+    return array.reshape(len(array), -1)
 
 
 @dataclass(frozen=True)
@@ -151,3 +192,25 @@ class RecordingFolder:
             if played.kept:
                 with np.load(self.file(played.index), allow_pickle=False) as file:
                     yield Recording(**{name: file[name] for name in file.files if name != "seed"}, seed=played.seed)
+
+
+def read_own(path: Path) -> Dataset:
+    """A recording in our own format. Raises UsageError if it is damaged."""
+    folder = RecordingFolder(path)
+    about = folder.about()
+    try:
+        kept = [one for one in folder.played() if one.kept]
+        rate = float(about["rate"]) if about else 0.0
+    except (KeyError, TypeError, ValueError):
+        refuse(path, f"{DESCRIPTION} or {EPISODES} is damaged")
+
+    def read(place: int) -> Columns:
+        file = folder.file(kept[place].index)
+        try:
+            with np.load(file, allow_pickle=False) as arrays:
+                found = {name: arrays[name] for name in arrays.files if name != "seed"}
+        except (OSError, ValueError, EOFError) as error:
+            refuse(file, f"cannot be read: {error}", "copy it again")
+        return {name: array.reshape(len(array), -1) for name, array in found.items()}
+
+    return Dataset(path, tuple(one.steps for one in kept), rate, NAMES, read, about)

@@ -26,17 +26,13 @@ import re
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from .. import system
-from ..core import State
 from ..errors import RunError
 from ..files import below, parse_object, write_json, writing
-
-if TYPE_CHECKING:
-    pass
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""
@@ -54,6 +50,8 @@ _MANIFEST_BYTES = 1 << 24
 _PREVIOUS = re.compile(r"\.(.*)\.previous")
 _TAG = "__karolos__"
 _WORD = range(-(1 << 63), 1 << 63)
+State = dict[str, Any]
+"""The content of a part, see `karolos.core.State`."""
 _MALFORMED = (RuntimeError, ValueError, KeyError, TypeError, AttributeError, AssertionError, EOFError, OverflowError)
 """Errors of torch's reader and `decode` on files that only look like checkpoints."""
 
@@ -73,8 +71,7 @@ class ArrayFiles:
     def write(self, data: np.ndarray) -> list[str]:
         """Write the bytes of a flat uint8 array to the disk; returns the names of its files (sha256), in order.
 
-        Raises:
-            OSError: the disk is full or the folder cannot be written; every file is complete or missing.
+        Raises OSError if the disk is full or the folder cannot be written; every file is complete or missing.
         """
         view = data.data
         names = [self._write_file(view[start : start + SIZE]) for start in range(0, len(view), SIZE)]
@@ -89,8 +86,7 @@ class ArrayFiles:
     def read(self, names: Sequence[str], size: int) -> np.ndarray:
         """The `size` bytes that `write` wrote: a flat uint8 array.
 
-        Raises:
-            ArrayFileError: a file is missing or damaged.
+        Raises ArrayFileError if a file is missing or damaged.
         """
         found = np.empty(size, np.uint8)
         start = 0
@@ -145,7 +141,6 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
 
     Args:
         folder: the run's folder of checkpoints; created if it does not exist.
-        name: e.g. "best" or "last".
         parts: nested dictionaries, lists and tuples of tensors, numpy arrays, numbers, strings, booleans and None.
         meta: JSON values (experiment, steps ...).
 
@@ -182,8 +177,7 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
 def rename(folder: Path, name: str, other: str) -> None:
     """Rename a checkpoint; it replaces one of the new name. Does nothing if there is none.
 
-    Raises:
-        MachineError: the folder cannot be written.
+    Raises MachineError if the folder cannot be written.
     """
     source, target = below(folder, name), below(folder, other)
     if source.is_dir():
@@ -212,8 +206,7 @@ def load_part(folder: Path, name: str, part: str) -> tuple[State, dict[str, Any]
 def read_meta(folder: Path, name: str) -> dict[str, Any]:
     """The meta of a checkpoint; only its manifest is read.
 
-    Raises:
-        CheckpointError: the manifest is missing, damaged or of a newer format.
+    Raises CheckpointError if the manifest is missing, damaged or of a newer format.
     """
     meta: dict[str, Any] = read_manifest(_find(folder, name))["meta"]
     return meta
@@ -322,8 +315,7 @@ def damaged(path: Path, why: str) -> CheckpointError:
 def read_manifest(path: Path) -> dict[str, Any]:
     """The manifest of the checkpoint in the folder `path`, verified against its own sha256.
 
-    Raises:
-        CheckpointError: it is missing, damaged or of a newer format.
+    Raises CheckpointError if it is missing, damaged or of a newer format.
     """
     try:
         with (path / _MANIFEST).open("rb") as file:
@@ -415,8 +407,7 @@ def unpack_state(data: bytes, arrays: ArrayFiles | None = None) -> State:
 def encode(value: Any, path: str = "state", arrays: ArrayFiles | None = None) -> Any:
     """A state as tensors, containers and plain values; large arrays go into `arrays`, if given.
 
-    Raises:
-        TypeError: it holds something else; `path` names it.
+    Raises TypeError if it holds something else; `path` names it.
     """
     import torch  # noqa: PLC0415
 

@@ -66,8 +66,7 @@ _GIVEN_NAME = re.compile(r"-s\d+-\d{8}-\d{6}(-\d+)?$")
 class RunFolder:
     """One run's folder. Get one from `create` (new, locked) or `open`; use it in a `with` to free the lock at the end.
 
-    Raises:
-        MachineError: from every method that writes, if the disk is full or the folder cannot be written.
+    Raises MachineError from every method that writes, if the disk is full or the folder cannot be written.
     """
 
     def __init__(self, path: Path) -> None:

@@ -247,8 +247,7 @@ def find_sweep(runs: str | Path, name: str) -> SweepRecord:
 def read_sweep(folder: Path) -> tuple[SweepRecord, tuple[str, ...]]:
     """A sweep from its folder, and one line per damaged file.
 
-    Raises:
-        RunError: it is not a sweep's folder, its sweep.json is damaged, or a newer karolos made it.
+    Raises RunError if it is not a sweep's folder, its sweep.json is damaged, or a newer karolos made it.
     """
     described = read_sweep_description(folder)
     found, problems = read_values(folder / TRIALS, lambda line: _trial(line, len(described.objectives)), "trial")

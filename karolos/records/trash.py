@@ -39,8 +39,7 @@ def thrown_away(runs: str | Path) -> list[Path]:
 def find(runs: str | Path, selector: str) -> Path:
     """The one folder in the trash whose name is or begins with the selector.
 
-    Raises:
-        UsageError: there is none, or several.
+    Raises UsageError if there is none, or several.
     """
     trashed = thrown_away(runs)
     exact = [path for path in trashed if path.name == selector]

@@ -221,8 +221,6 @@ def _dots(
     """A row for each contender: the value of every seed as a dot, below them the estimate as a cross.
 
     Args:
-        drawing: an empty one.
-        comparison: of the contenders.
         values: of the runs of each contender; None: no dot.
         estimates: one for each contender; None: no cross.
         span: of the axis, to separate nearly equal dots.
@@ -340,9 +338,7 @@ def heat_map(
     """Draw estimates as shaded cells.
 
     Args:
-        drawing: an empty one.
         rows: label, and an estimate for each column.
-        columns: their labels.
         neutral: value without shade; better values are blue, worse ones red, fully at a distance of 1. None: shades
             from 0 to 1.
         larger_is_better: whether larger values are better.

@@ -123,8 +123,7 @@ class Drawing:
     def save(self, path: Path) -> Path:
         """Write the figure in the format of the file's extension; the same figure gives the same bytes.
 
-        Raises:
-            MachineError: the file cannot be written.
+        Raises MachineError if the file cannot be written.
         """
         with look(), writing(path):
             self.figure.savefig(path, metadata=_UNDATED[path.suffix])
@@ -173,12 +172,10 @@ def write_figures(drawings: Sequence[Drawing], folder: Path, *, width: float = W
 
     Args:
         drawings: the figures. They keep the written size.
-        folder: of the files.
         width: of a figure in inches; the height follows.
         font: size of the text in points; titles are a little larger.
 
-    Raises:
-        MachineError: they cannot be written.
+    Raises MachineError if they cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)

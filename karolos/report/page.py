@@ -63,9 +63,7 @@ def document(
     Its security policy allows only inline styles and pictures, which matplotlib's figures need.
 
     Args:
-        title: of the page.
         what: content of the page; stands below the title with karolos's version.
-        sections: in their order.
         warnings: stand above the sections.
         contenders: labels for check boxes that show or hide a contender, by the style sheet without scripts.
     """

@@ -16,8 +16,7 @@ from ..errors import UsageError
 from ..files import writing
 
 if TYPE_CHECKING:
-    from ..core import Environment
-    from ..evaluation.playing import Moment
+    from ..core import Environment, Moment
 
 FORMATS = (".mp4", ".gif")
 RATE = 24

@@ -15,10 +15,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from ..core.settings import LATER
 from ..errors import MachineError, PluginError, UsageError
-from ..files import INSTALLED, fingerprint, write_whole, writing
+from ..files import INSTALLED, fingerprint, user_cache, write_whole, writing
 from ..registry import load
 from ..simulation.geometry import Box, Vector
-from ..system import user_cache
 from .arm import Arm
 from .model import ArmModel
 from .proposal import Known, Proposal, propose
@@ -113,7 +112,7 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made
     """`propose`, from the user's cache folder if these contents were proposed for before."""
     place = None
     with suppress(RuntimeError, OSError, ValidationError):  # no home, or a damaged file: compute it again
-        place = user_cache() / "karolos" / "robots" / f"{key}.json"
+        place = user_cache() / "robots" / f"{key}.json"
         found = _PROPOSAL.validate_json(place.read_bytes())
         if made is None or found.model.urdf.is_file():
             return found

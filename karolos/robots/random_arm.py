@@ -16,11 +16,10 @@ from pydantic import Field as Setting
 from ..core import Array
 from ..core.seeding import Generator, SeedTree
 from ..errors import MachineError, PluginError
-from ..files import fingerprint, write_whole, writing
+from ..files import fingerprint, user_cache, write_whole, writing
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector, quaternion_of
 from ..simulation.parts import link_element, place_element
 from ..simulation.shapes import Capsule
-from ..system import user_cache
 from .arm import Arm
 from .from_file import FromFile, proposal_of
 from .model import ArmModel
@@ -118,7 +117,7 @@ def _model(arm: int, gripper: str | None) -> ArmModel:
     """
     source = hashlib.sha256(str(fingerprint(Path(__file__), follow=False)).encode()).hexdigest()[:12]
     try:
-        folder = user_cache() / "karolos" / "robots" / "random" / source
+        folder = user_cache() / "robots" / "random" / source
     except RuntimeError:
         raise MachineError("there is no folder for caches", setting="robot.arm", hint="set XDG_CACHE_HOME") from None
     for attempt, draws in enumerate(_draws(arm)):

@@ -22,7 +22,7 @@ import numpy as np
 from ..core import Array
 from ..errors import PluginError, UsageError
 from . import meshes, urdf
-from .geometry import Quaternion, Vector, matrix_of, quaternion_of
+from .geometry import Quaternion, matrix_of, quaternion_of, vector
 from .parts import GREY, Link, Mechanism, link_element, mechanism, place_element
 from .shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere, inertia_of, volume_of
 
@@ -52,7 +52,6 @@ def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
     """A fixture or an object with joints from a URDF or MJCF file.
 
     Args:
-        path: of the file.
         collision: collision shapes of its meshes; by default their hulls, with a warning if a hull fills a hole.
 
     Raises:
@@ -101,16 +100,15 @@ def arm(path: Path, speed: float) -> Element:
     Its torques are those of its actuators; MJCF has no speeds.
 
     Args:
-        path: of the file.
         speed: of all joints, in rad/s.
 
-    Raises:
-        PluginError: it is not an MJCF file of one arm. The message names element and line.
+    Raises PluginError if it is not an MJCF file of one arm. The message names element and line.
     """
     root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag != "mujoco":
         raise PluginError("not an MJCF file", where=str(path), hint="its root is <mujoco>")
     reader = _MjcfArm(path, "convex", root, lines)
+    reader.robot = Element("robot", name=root.get("model", "arm"))
     list(reader.links())
     torques: dict[str, float] = {}
     for actuator in root.iterfind("actuator/*"):
@@ -207,10 +205,7 @@ class _MjcfReader:
         if mass and parent and not inertials:
             inertia = inertia_of(solids, mass, masses)
         for inertial in inertials:
-            mass, (centre, axes) = self._number(inertial, "mass", 0.0), self._pose(inertial)
-            inertia = Inertia(
-                _vector(centre - pivot), _vector(self._numbers(inertial, "diaginertia", (0.0,) * 3)), axes
-            )
+            mass, inertia = self._inertial(inertial, pivot)
         yield Link(
             name=name,
             shapes=shapes,
@@ -218,16 +213,22 @@ class _MjcfReader:
             inertia=inertia if parent else None,
             parent=parent,
             joint="hinge" if turns else "slide",
-            axis=_vector(self._numbers(joint, "axis", (0.0, 0.0, 1.0))),
+            axis=vector(self._numbers(joint, "axis", (0.0, 0.0, 1.0))),
             range=(float(low), float(high)),
             friction=self._number(joint, "frictionloss", 0.0),
             damping=self._number(joint, "damping", 0.0),
-            position=_vector(place - offset + matrix_of(turn) @ pivot),
+            position=vector(place - offset + matrix_of(turn) @ pivot),
             orientation=turn,
         )
         for part in parts:
             if part.tag == "body":
                 yield from self._body(part, name, pivot, usual)
+
+    def _inertial(self, inertial: Element, pivot: Array) -> tuple[float, Inertia]:
+        """Mass and inertia of an <inertial> in the frame at `pivot` (3,) of its body."""
+        centre, axes = self._pose(inertial)
+        moments = self._numbers(inertial, "diaginertia", (0.0,) * 3)
+        return self._number(inertial, "mass", 0.0), Inertia(vector(centre - pivot), vector(moments), axes)
 
     def _shape(self, geom: Element, pivot: Array, collision: meshes.Collision | None) -> Shape:
         """The shape of a geom in the frame at `pivot` (3,) of its body."""
@@ -238,7 +239,7 @@ class _MjcfReader:
             place, along = ends.mean(0), ends[1] - ends[0]
             size = np.append(size[:1], np.linalg.norm(along) / 2)
             turn = _from_z(along)
-        pose: dict[str, Any] = {"position": _vector(place - pivot), "orientation": turn}
+        pose: dict[str, Any] = {"position": vector(place - pivot), "orientation": turn}
         if kind == "mesh" and geom.get("mesh") in self._files:
             file, scale = self._files[geom.get("mesh", "")]
             return Mesh(file, scale, collision, **pose)
@@ -303,11 +304,8 @@ class _MjcfReader:
 class _MjcfArm(_MjcfReader):
     """Reads an arm. Bodies without a joint are frames or parts of the body before; unknown parts are left out."""
 
-    def __init__(
-        self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
-    ) -> None:
-        super().__init__(path, collision, root, lines)
-        self.robot = Element("robot", name=root.get("model", "arm"))
+    robot: Element
+    """What `links` fills."""
 
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
         parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
@@ -323,9 +321,7 @@ class _MjcfArm(_MjcfReader):
         shapes = [self._shape(geom, pivot, "convex") for geom in solid]
         mass, inertia = sum(self._number(geom, "mass", 0.0) for geom in drawn), None
         for inertial in (part for part in parts if part.tag == "inertial"):
-            mass, (centre, axes) = self._number(inertial, "mass", 0.0), self._pose(inertial)
-            moments = self._numbers(inertial, "diaginertia", (0.0,) * 3)
-            inertia = Inertia(_vector(centre - pivot), _vector(moments), axes)
+            mass, inertia = self._inertial(inertial, pivot)
         self.robot.append(link_element(name, shapes, mass, inertia, GREY))
         if parent:
             kind = {"hinge": "revolute", "slide": "prismatic"}[joints[0].get("type", "hinge")] if joints else "fixed"
@@ -333,7 +329,7 @@ class _MjcfArm(_MjcfReader):
             made = SubElement(self.robot, "joint", name=title, type=kind)
             SubElement(made, "parent", link=parent)
             SubElement(made, "child", link=name)
-            place_element(made, _vector(place - offset + matrix_of(turn) @ pivot), turn)
+            place_element(made, vector(place - offset + matrix_of(turn) @ pivot), turn)
             for joint in joints:
                 scale = self._degree if kind == "revolute" else 1.0
                 low, high = self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale
@@ -348,11 +344,6 @@ class _MjcfArm(_MjcfReader):
 
     def _parts(self, element: Element, known: str) -> list[Element]:
         return [part for part in element if part.tag in known.split()]
-
-
-def _vector(values: Array) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def _from_z(along: Array) -> Quaternion:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import atan2, copysign, cos, hypot, pi, sin, sqrt
 
@@ -15,6 +15,12 @@ Quaternion = tuple[float, float, float, float]
 UPRIGHT: Quaternion = (0.0, 0.0, 0.0, 1.0)
 Colour = tuple[float, float, float, float]
 """Red, green, blue, opacity in [0, 1]."""
+
+
+def vector(values: Iterable[str | float]) -> Vector:
+    """The vector of three numbers or texts."""
+    x, y, z = map(float, values)
+    return x, y, z
 
 
 def matrix_of(quaternion: Quaternion) -> Array:

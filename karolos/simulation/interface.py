@@ -376,10 +376,7 @@ class World(Protocol):
         """The motors of a loaded arm.
 
         Args:
-            body: the arm.
             joints: the links that its joints move, from base to wrist.
-            limits: of the joints.
-            fingers: of the gripper.
             tool: its frame in the last of these links; springs, the wrench and a cup need it.
             cup: replaces fingers. Not in PyBullet.
         """
@@ -396,7 +393,6 @@ class World(Protocol):
         Args:
             shapes: at least one; they may overlap.
             mass: in kg. With 0 it is static: it moves only by `place`, and collides only with moving bodies.
-            colour: of all shapes.
             inertia: by default that of a body with uniform density.
         """
 
@@ -653,6 +649,9 @@ class Task(ABC):
     """The task's part of the observation, without the goals; may depend on the settings."""
     critic_only: ClassVar[Layout] = Layout()
     """More fields, only for critics. A spec chooses from them by `environment.critic_observes`."""
+    fine_fields: ClassVar[Mapping[str, Sequence[tuple[str, int, float, float]]]] = {}
+    """Fields that show another field more finely, for a robot's computer: a column is tanh((field[column] + offset) /
+    scale), described by (field, column, offset, scale)."""
     extra_reward_range: tuple[float, float] = (0.0, 0.0)
     """Smallest and largest `extra_reward`."""
     achieved_goal: Layout

@@ -50,8 +50,7 @@ class Configuration(NamedTuple):
     @property
     def axes(self) -> Array:
         """For each joint its origin in m and the direction of its axis: 6 n numbers."""
-        axes: Array = self.numbers[12:]
-        return axes
+        return self.numbers[12:]
 
 
 def _aligned(axis: Vector) -> Array:
@@ -119,16 +118,13 @@ class Chain:
         """Change of the joints (n,) in rad that moves the tool towards a pose: one step of damped least squares.
 
         Args:
-            at: the current configuration.
-            target: of the tool.
             posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
         """
         (qx, qy, qz), (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = target
         wanted = np.array((qx, qy, qz, dx, dy, dz, ex, ey, ez, fx, fy, fz))
         change = np.empty(self.size)
         self._kernel.step(at.numbers, wanted, self._per_joint(posture), self.damping, change)
-        moved: list[float] = change.tolist()
-        return moved
+        return change.tolist()
 
     def _per_joint(self, numbers: Sequence[float]) -> Array:
         """The numbers as an array (n,). Raises ValueError unless there is one number per joint."""

@@ -28,8 +28,7 @@ from numpy.typing import NDArray
 
 from ..core import Array
 from ..errors import MachineError, PluginError
-from ..files import writing
-from ..system import user_cache
+from ..files import user_cache, writing
 
 Collision = Literal["convex", "decomposed"]
 """Collision shape of a mesh that is not convex: its convex hull, or convex pieces of it."""
@@ -266,7 +265,7 @@ def pieces(path: Path) -> tuple[Path, ...]:
     if solid(path).filled == "":
         return (path,)
     key = hashlib.sha256(f"{CONCAVITY}".encode() + triangles(path).tobytes()).hexdigest()[:24]
-    folder = user_cache() / "karolos" / "convex" / key
+    folder = user_cache() / "convex" / key
     if not folder.is_dir():
         with writing(folder.parent):
             folder.parent.mkdir(parents=True, exist_ok=True)

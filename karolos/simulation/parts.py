@@ -58,7 +58,6 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
     """A <robot> of one link.
 
     Args:
-        shapes: of the link.
         mass: in kg, 0 for a fixed body.
         inertia: by default that of a body with uniform density.
     """
@@ -100,9 +99,10 @@ def link_element(
     moments = dict(zip(("ixx", "iyy", "izz"), map(repr, found.moments), strict=True))
     SubElement(inertial, "inertia", moments | dict.fromkeys(("ixy", "ixz", "iyz"), "0"))
     for shape in shapes:
-        kinds = [("collision", one) for one in _geometries(shape)]
+        solid = [_mesh(one, shape.scale) for one in shape.pieces()] if isinstance(shape, Mesh) else [_geometry(shape)]
+        kinds = [("collision", one) for one in solid]
         if look is not None or isinstance(shape, Mesh):
-            kinds.append(("visual", _mesh(shape.path, shape.scale) if isinstance(shape, Mesh) else _geometry(shape)))
+            kinds.append(("visual", _geometry(shape)))
         for kind, geometry in kinds:
             made = SubElement(link, kind)
             place_element(made, shape.position, shape.orientation)
@@ -110,13 +110,6 @@ def link_element(
             if look is not None and kind == "visual":
                 SubElement(SubElement(made, "material", name=f"{name} {_text(look)}"), "color", rgba=_text(look))
     return link
-
-
-def _geometries(shape: Shape) -> list[Element]:
-    """The collision geometry of a shape, in a URDF's words."""
-    if isinstance(shape, Mesh):
-        return [_mesh(piece, shape.scale) for piece in shape.pieces()]
-    return [_geometry(shape)]
 
 
 def _mesh(path: Path, scale: float) -> Element:
@@ -133,6 +126,8 @@ def _geometry(shape: Shape) -> Element:
             return Element("cylinder", radius=repr(radius), length=repr(length))
         case Capsule(radius=radius, length=length):
             return Element("capsule", radius=repr(radius), length=repr(length))
+        case Mesh(path=path, scale=scale):
+            return _mesh(path, scale)
     raise TypeError(f"not a shape: {shape!r}")
 
 

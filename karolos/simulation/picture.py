@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Array, FloatArray
-from .geometry import Colour, Vector
+from .geometry import Colour, Vector, vector
 from .interface import Camera, Stroke
 
 SAMPLES = 2
@@ -130,21 +130,15 @@ def view_of(width: int, height: int, camera: Camera) -> View:
         np.clip(((sign * (place - middle) / half + 1) / 2 * cells).astype(np.int64), 0, cells - 1)
         for sign, place, middle in ((1, x, centre[0]), (-1, y, centre[1]))
     )
+    angle, near, far = degrees(2 * atan(half / LIGHT_HEIGHT)), LIGHT_HEIGHT - 4, LIGHT_HEIGHT + 1
     return View(
-        Eye(_vector(origin), _vector(ahead), _vector(up), camera.field_of_view),
+        Eye(vector(origin), vector(ahead), vector(up), camera.field_of_view),
         np.array([right, up, ahead], np.float32),
         edge,
         rays.astype(np.float32),
         empty.astype(np.uint8),
         np.stack((x, y), -1).astype(np.float32),
-        Eye(
-            (*centre, LIGHT_HEIGHT),
-            (0.0, 0.0, -1.0),
-            (0.0, 1.0, 0.0),
-            degrees(2 * atan(half / LIGHT_HEIGHT)),
-            LIGHT_HEIGHT - 4,
-            LIGHT_HEIGHT + 1,
-        ),
+        Eye((*centre, LIGHT_HEIGHT), (0.0, 0.0, -1.0), (0.0, 1.0, 0.0), angle, near, far),
         cells,
         (rows * cells + columns).astype(np.int32),
     )
@@ -159,11 +153,6 @@ def _plate(x: Array, y: Array) -> Array:
     outside = (beyond - PLATE_CORNER)[..., None]  # distance from its edge in m, negative on the plate
     shaded = np.array(FLOOR_COLOUR) * (1 - SHADOW_OPACITY * np.exp(-((outside / PLATE_SHADOW) ** 2)))
     return np.where(outside > 0, shaded, np.where(outside > -PLATE_RIM, PLATE_EDGE, PLATE_COLOUR))
-
-
-def _vector(values: Array) -> Vector:
-    x, y, z = values.tolist()
-    return x, y, z
 
 
 def draw(
@@ -224,8 +213,8 @@ def _rings(marker: Marker, view: View) -> Iterator[Stroke]:
         ring = circle @ view.axes + np.array(marker.position)
         yield Stroke(((x, y, z - radius), (x, y, 0.001)), colour, width=0.4)
         below = circle / 3 + floor
-        yield Stroke(tuple(map(_vector, below)), colour, width=0.6)
-    yield Stroke(tuple(map(_vector, ring)), colour)
+        yield Stroke(tuple(map(vector, below)), colour, width=0.6)
+    yield Stroke(tuple(map(vector, ring)), colour)
 
 
 def _draw_strokes(

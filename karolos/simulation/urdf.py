@@ -22,7 +22,7 @@ import numpy as np
 from ..core import Array
 from ..errors import PluginError
 from ..files import find_named
-from .geometry import Vector
+from .geometry import Vector, vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
 FINGER_MASS = 0.05
@@ -287,7 +287,6 @@ def load(
     least `FINGER_MASS`.
 
     Args:
-        path: of the file.
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.
         slides: prismatic joints of a gripper.
         strict: whether to refuse limits, masses and meshes that cannot be simulated.
@@ -296,8 +295,7 @@ def load(
         without: joints that are left out with everything that they carry: a hand that another one replaces.
         text: of the file, if it differs from the written one.
 
-    Raises:
-        PluginError: a joint or link is invalid or cannot be simulated; names it and its line.
+    Raises PluginError if a joint or link is invalid or cannot be simulated; names it and its line.
     """
     texts = text_of(path) if text is None else text, text_of(mount.path) if mount else ""
     return _load(path, texts, locked, slides, (strict, driven), (mount, without))
@@ -382,15 +380,9 @@ def _mount(source: _Source, mount: Mount, text: str) -> None:
     if carrier is None:
         raise PluginError(f"there is no link {mount.link!r} to mount a gripper on", where=str(source.path))
     _find_meshes(gripper)
+    keys = dict.fromkeys(("link", "joint", "material"), "name")
+    keys |= {"parent": "link", "child": "link", "mimic": "joint"}
     for element in gripper.robot.iter():
-        keys = {
-            "link": "name",
-            "joint": "name",
-            "material": "name",
-            "parent": "link",
-            "child": "link",
-            "mimic": "joint",
-        }
         if (key := keys.get(element.tag)) is not None and (name := element.get(key)):
             element.set(key, mount.named(name))
     joint = Element("joint", name=mount.named("mount"), type="fixed")
@@ -524,8 +516,8 @@ def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> 
         parent=link_of(element, "parent"),
         child=link_of(element, "child"),
         revolute=element.get("type") != "prismatic",
-        origin=_vector(origin),
-        rotation=tuple(_vector(row) for row in rotation),
+        origin=vector(origin),
+        rotation=tuple(vector(row) for row in rotation),
         axis=axis,
         lower=lower,
         upper=upper,
@@ -560,8 +552,6 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
     """Check the mass and the inertia of a link. Returns whether the inertia had to be corrected.
 
     Args:
-        link: the <link>.
-        source: where it stands.
         base: whether the link is fixed and needs no mass.
         least: smallest mass in kg; a smaller one is raised to it, and the inertia with it.
     """
@@ -586,19 +576,14 @@ def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> 
     return True
 
 
-def _vector(values: Iterable[str | float]) -> Vector:
-    x, y, z = map(float, values)
-    return x, y, z
-
-
 def _axis(joint: Element) -> Vector:
     """The axis with length 1; all 0 if the axis is too short to have a direction."""
     axis = joint.find("axis")
-    vector = _vector((axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split())
-    length = hypot(*vector)
+    found = vector((axis.get("xyz", "1 0 0") if axis is not None else "1 0 0").split())
+    length = hypot(*found)
     if length < LEAST_SIZE:
         return 0.0, 0.0, 0.0
-    return vector if length == 1 else _vector(np.divide(vector, length))
+    return found if length == 1 else vector(np.divide(found, length))
 
 
 def origin_of(element: Element) -> tuple[Array, Array]:
@@ -606,8 +591,8 @@ def origin_of(element: Element) -> tuple[Array, Array]:
     origin = element.find("origin")
     if origin is None:
         return np.zeros(3), np.eye(3)
-    translation = np.array(_vector(origin.get("xyz", "0 0 0").split()))
-    return translation, rotation_matrix(*_vector(origin.get("rpy", "0 0 0").split()))
+    translation = np.array(vector(origin.get("xyz", "0 0 0").split()))
+    return translation, rotation_matrix(*vector(origin.get("rpy", "0 0 0").split()))
 
 
 def _placed(joint: Element, position: float) -> tuple[Array, Array]:

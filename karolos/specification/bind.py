@@ -14,7 +14,7 @@ from ..errors import PluginError, Problem, UsageError, alternatives, closest
 from ..registry import load, singular
 from .model import Spec
 from .parts import Part, validate_strictly
-from .tree import DEFAULT, PARTS, RANDOMIZATION, ROBOT_TASK, SWEEP, TRANSFER, Mark, Node, Path, dotted, shown, written
+from .tree import DEFAULT, PARTS, RANDOMIZATION, ROBOT_TASK, SWEEP, TRANSFER, Mark, Node, Path, dotted, shown
 
 ROLLOUT_HINT = "name an on-policy buffer, e.g. buffer=on_policy; the spec panda_reach_ppo shows the settings of both"
 Plugins = Mapping[tuple[str, ...], type[Any]]
@@ -33,8 +33,7 @@ class Invalid:
 def bind(tree: Node) -> tuple[Plugins, list[Problem]]:
     """The plugins that the tree's parts name, imported one at a time, and problems with these names.
 
-    Raises:
-        PluginError: a plugin is broken; at the position that names it.
+    Raises PluginError if a plugin is broken; at the position that names it.
     """
     plugins: dict[tuple[str, ...], type[Any]] = {}
     problems = list(_environment_problems(tree))
@@ -48,7 +47,7 @@ def bind(tree: Node) -> tuple[Plugins, list[Problem]]:
         elif name is None:
             problems.append(Problem(part.place, setting, f"should name {named}"))
         elif not isinstance(name.value, str):
-            problems.append(Problem(name.at, setting, f"should be the name of {named}, not {written(name)}"))
+            problems.append(Problem(name.at, setting, f"should be the name of {named}, not {name.text}"))
         else:
             try:
                 plugins[path] = load(_kind(path), name.value)
@@ -234,7 +233,7 @@ def _said(
     what = " or ".join([texts[0], *(text.removeprefix("should be ") for text in texts[1:])])
     node = tree.get(*invalid.path, *path)
     if node is not None and "should" in what and kind not in COMPLETE:
-        what = f"{what}, not {written(node)}"
+        what = f"{what}, not {node.text}"
     contexts = [entry.get("ctx") or {} for entry in entries]
     choices = [word for context in contexts for word in re.findall(r"'([^']+)'", context.get("expected", ""))]
     near = closest(given, choices) if isinstance(given, str) else None

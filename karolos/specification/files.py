@@ -18,22 +18,7 @@ import yaml
 
 from ..errors import Problem, SpecError, UsageError, closest
 from ..files import SPECS
-from .tree import (
-    MAX_DEPTH,
-    Mark,
-    Node,
-    Scalar,
-    anchored,
-    from_plain,
-    merged,
-    nested,
-    normalised,
-    refusal,
-    refuse,
-    segments,
-    shown,
-    variable_problems,
-)
+from .tree import MAX_DEPTH, Mark, Node, Scalar, refuse, segments, shown
 
 SHIPPED = "karolos:"
 """Prefix of the names of shipped specs, e.g. karolos:bases/sac_grasp.yaml."""
@@ -81,8 +66,7 @@ def find_spec(given: str | Path) -> tuple[Path, str]:
 def shipped_text(name: str) -> str:
     """The text of a shipped spec with `extends: karolos:NAME`, so that it loads from any folder.
 
-    Raises:
-        UsageError: there is no such spec.
+    Raises UsageError if there is no such spec.
     """
     path, source = find_spec(f"{SHIPPED}{name.removeprefix(SHIPPED)}")
     if not path.exists():
@@ -122,12 +106,11 @@ class SpecFiles:
     def load(self) -> Node:
         """The merged tree of nodes without shorthand. Collects problems; raises those of the root file.
 
-        Raises:
-            SpecError: the root file cannot be read.
+        Raises SpecError if the root file cannot be read.
         """
         path, name = find_spec(self.root)
         if wrong := unreadable(path):
-            raise refusal(Mark(name), *wrong)
+            raise Mark(name).refusal(*wrong)
         try:
             return self._load(path, name, ())
         except SpecError as error:
@@ -144,16 +127,16 @@ class SpecFiles:
         node, problems = read(text, name, rank)
         self.problems.extend(problems)
         if node is None:
-            raise refusal(start, "the file is empty", "give at least robot, task and agent")
+            raise start.refusal("the file is empty", "give at least robot, task and agent")
         if node.mapping is None:
-            raise refusal(node.at, "a spec is a mapping of keys to values", "begin with `robot: NAME`")
+            raise node.at.refusal("a spec is a mapping of keys to values", "begin with `robot: NAME`")
         entries = dict(node.mapping)
         extends = entries.pop("extends", None)
-        tree = anchored(normalised(Node(entries, start)), Path(file).parent)
+        tree = Node(entries, start).normalised().anchored(Path(file).parent)
         if extends is not None and extends.value is not None:
             for target in reversed([extends] if extends.items is None else extends.items):
                 try:
-                    tree = merged(self._base(target, Path(file), name, (*above, file)), tree)
+                    tree = self._base(target, Path(file), name, (*above, file)).merged(tree)
                 except SpecError as error:
                     self.broken += error.problems
         self._done[file] = tree
@@ -163,15 +146,15 @@ class SpecFiles:
         """The tree of a file that `path` extends. Raises SpecError."""
         given = target.value
         if not isinstance(given, str) or not given:
-            raise refusal(target.at, "should be a path, or a list of paths, relative to this file", setting="extends")
-        refuse(variable_problems(target, ("extends",)))
+            raise target.at.refusal("should be a path, or a list of paths, relative to this file", setting="extends")
+        refuse(target.variable_problems(("extends",)))
         shipped = given.startswith(SHIPPED)
         base, name = find_spec(given) if shipped else (path.parent / given, relative_name(name, given))
         if wrong := unreadable(base):
-            raise refusal(target.at, f"{shown(given)}: {wrong[0]}", wrong[1], setting="extends")
+            raise target.at.refusal(f"{shown(given)}: {wrong[0]}", wrong[1], setting="extends")
         if (file := os.path.realpath(base)) in above:
             chain = " -> ".join(shown(os.path.basename(one)) for one in (*above[above.index(file) :], file))
-            raise refusal(target.at, f"is a circle: {chain}", "remove one of them", setting="extends")
+            raise target.at.refusal(f"is a circle: {chain}", "remove one of them", setting="extends")
         return self._load(base, name, above)
 
 
@@ -222,13 +205,13 @@ def _text(path: Path, mark: Mark) -> str:
         with path.open("rb") as file:
             data = file.read(4 * MAX_CHARACTERS + 1)
         if len(data) > 4 * MAX_CHARACTERS:
-            raise refusal(mark, f"longer than {MAX_CHARACTERS // 1024} kB")
+            raise mark.refusal(f"longer than {MAX_CHARACTERS // 1024} kB")
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         at = Mark(mark.source, data[: error.start].count(b"\n") + 1, rank=mark.rank)
-        raise refusal(at, "is not UTF-8 text", "save the file in UTF-8") from None
+        raise at.refusal("is not UTF-8 text", "save the file in UTF-8") from None
     except OSError as error:
-        raise refusal(mark, f"cannot be read: {error.strerror or error}") from None
+        raise mark.refusal(f"cannot be read: {error.strerror or error}") from None
 
 
 def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem]) -> list[Node]:
@@ -248,7 +231,7 @@ def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
     problems: list[Problem] = []
     tree = Node({}, Mark("settings"))
     for override in override_trees(overrides, 0, problems):
-        tree = merged(tree, override)
+        tree = tree.merged(override)
     refuse(problems)
     settings: dict[str, Any] = tree.plain()
     return settings
@@ -257,19 +240,19 @@ def parse_settings(overrides: Iterable[str]) -> dict[str, Any]:
 def _override(text: str, mark: Mark) -> Node:
     key, equals, value = text.partition("=")
     if not equals:
-        raise refusal(mark, "has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4")
+        raise mark.refusal("has no =", "write path.to.key=value, e.g. agent.learning_rate=1e-4")
     if not all(path := segments(key.strip())):
-        raise refusal(mark, f"{shown(key)!r} is not a path of keys", "write path.to.key=value")
+        raise mark.refusal(f"{shown(key)!r} is not a path of keys", "write path.to.key=value")
     if path[0] == "extends":
-        raise refusal(mark, "cannot be overridden", "put it into the spec file", setting="extends")
+        raise mark.refusal("cannot be overridden", "put it into the spec file", setting="extends")
     try:
         node, problems = read(value, mark.source, mark.rank)
         refuse(problems)
     except SpecError as error:
         raise SpecError([_in_value(problem, key) for problem in error.problems]) from None
     if node is None and value.strip():
-        raise refusal(mark, "the value is a comment", "put it in quotes: key='\"#...\"'", setting=key)
-    return nested(key.strip(), from_plain(node and node.plain(), mark))
+        raise mark.refusal("the value is a comment", "put it in quotes: key='\"#...\"'", setting=key)
+    return Node.of(node and node.plain(), mark).under(key.strip())
 
 
 def _in_value(problem: Problem, key: str) -> Problem:
@@ -291,15 +274,13 @@ def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Probl
     """The document in `text`, and the problems after which reading can continue.
 
     Args:
-        text: one YAML document.
         source: name of the file or override, for positions.
         rank: index of this source, for sorting problems.
 
     Returns:
         The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
 
-    Raises:
-        SpecError: the text is not YAML, holds several documents, or is too large, deep or repetitive.
+    Raises SpecError if the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """
     reader = _YamlReader(source, rank)
     if len(text) > MAX_CHARACTERS:
@@ -327,7 +308,7 @@ class _YamlReader:
     _count: int = 0
 
     def fail(self, mark: Any, what: str, hint: str | None = None) -> NoReturn:
-        raise refusal(self._place(mark), what, hint)
+        raise self._place(mark).refusal(what, hint)
 
     def node(self, found: Any, depth: int) -> Node:
         self._count += 1
@@ -411,5 +392,4 @@ _Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _NUMBER_LIKE, list("-+.
 
 def to_yaml(spec: dict[str, Any]) -> str:
     """A resolved spec as YAML that loads as the same spec."""
-    text: str = yaml.dump(spec, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)
-    return text
+    return yaml.dump(spec, Dumper=_Dumper, sort_keys=False, default_flow_style=None, allow_unicode=True, width=110)

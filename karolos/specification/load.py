@@ -15,22 +15,7 @@ from .bind import bind, explain, validate
 from .files import SpecFiles, find_spec, override_trees
 from .model import Spec
 from .sweep import application_order, space_problems
-from .tree import (
-    DEFAULT,
-    SWEEP,
-    Mark,
-    Node,
-    from_plain,
-    leaves,
-    merge,
-    nested,
-    normalised,
-    refusal,
-    refuse,
-    segments,
-    shown,
-    variable_problems,
-)
+from .tree import DEFAULT, SWEEP, Mark, Node, leaves, merge, refuse, segments, shown
 
 
 def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[Node] = ()) -> Spec:
@@ -49,7 +34,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     tree = files.load()
     if (specs := tree.get("specs")) is not None:
         hint = f"`karolos suite {shown(str(path))}` trains it"
-        raise refusal(specs.place, "the file is a suite, not a spec", hint, setting="specs")
+        raise specs.place.refusal("the file is a suite, not a spec", hint, setting="specs")
     trees = override_trees(overrides, files.count, files.broken)
     if files.broken:
         refuse([*files.problems, *files.broken])
@@ -57,7 +42,7 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
     if spec.continued_from is not None:
         what = "only `karolos resume RUN training.steps=...` continues a run; a spec begins one"
         at = next(one["continued_from"].place for one in (*reversed(trees), tree) if one.get("continued_from"))
-        raise refusal(at, what, "remove it", setting="continued_from")
+        raise at.refusal(what, "remove it", setting="continued_from")
     spec._text = files.text
     return spec
 
@@ -66,18 +51,17 @@ def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Sp
     """The spec in a dictionary. Raises as `load_spec` does, with "dict" as the position."""
     mark = Mark("dict")
     if "extends" in spec:
-        raise refusal(mark, "a dictionary has no file to extend from", "load it with load_spec", setting="extends")
+        raise mark.refusal("a dictionary has no file to extend from", "load it with load_spec", setting="extends")
     problems: list[Problem] = []
     trees = override_trees(overrides, 1, problems)
     refuse(problems)
-    return _spec(normalised(from_plain(spec, mark)), trees)
+    return _spec(Node.of(spec, mark).normalised(), trees)
 
 
 def _resolve(written: Node, changes: Sequence[Node], stem: str | None) -> tuple[Node, Spec | None, list[Problem]]:
     """The written tree with changes on top, its Spec if it is valid, and the problems at their positions.
 
-    Raises:
-        PluginError: a plugin is broken; at the position that names it.
+    Raises PluginError if a plugin is broken; at the position that names it.
     """
     tree = merge(written, changes, stem)
     plugins, problems = bind(tree)
@@ -90,11 +74,10 @@ def _spec(
 ) -> Spec:
     """The spec of the written tree, with changes on top.
 
-    Raises:
-        SpecError: it is invalid; carries these and all other problems, each at the change that causes it.
+    Raises SpecError if it is invalid; carries these and all other problems, each at the change that causes it.
     """
     tree, spec, found = _resolve(written, changes, stem)
-    refuse([*problems, *variable_problems(tree), *_at_causes(found, written, changes, stem)])
+    refuse([*problems, *tree.variable_problems(), *_at_causes(found, written, changes, stem)])
     assert spec is not None  # it has no problems
     if spec.sweep is not None:
         base = Node({key: node for key, node in (tree.mapping or {}).items() if key != SWEEP}, tree.at)
@@ -139,18 +122,15 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
     """The spec of one trial of a sweep.
 
     Args:
-        base: the spec that has the sweep.
         drawn: parameter -> number, or label of a choice.
         name: of the trial's runs.
-        seeds: of the trial's runs.
         source: the origin of its settings, e.g. "trial 7".
 
-    Raises:
-        SpecError: these values are incompatible; reported at `source`.
+    Raises SpecError if these values are incompatible; reported at `source`.
     """
     assert base.sweep is not None  # only such a spec has trials
     mark, space = Mark(source), base.sweep.space
-    changes = [nested(key, from_plain(space[key].value(drawn[key]), mark)) for key in application_order(drawn)]
+    changes = [Node.of(space[key].value(drawn[key]), mark).under(key) for key in application_order(drawn)]
     return _spec(_with_runs(base, name, seeds, mark), changes)
 
 
@@ -158,14 +138,10 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
     """The spec of the runs of one variant of a transfer, changed as overrides would change it.
 
     Args:
-        base: the spec that has the transfer.
-        variant: of the transfer.
         name: of the runs.
-        seeds: on which it is run.
         fine_tune: whether to change also the settings of fine-tuning.
 
-    Raises:
-        SpecError: the settings are incompatible; reported where they are set.
+    Raises SpecError if the settings are incompatible; reported where they are set.
     """
     transfer = base.transfer
     assert transfer is not None  # only such a spec has variants
@@ -176,7 +152,7 @@ def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...],
     for place, settings in changes.items():
         for key, value in settings.items():
             mark = Mark(origins.get(f"{place}.{key}", origins.get(place, place)))
-            trees.append(nested(key, from_plain(value, mark)))
+            trees.append(Node.of(value, mark).under(key))
     return _spec(_with_runs(base, name, seeds, Mark(f"variant {variant}")), trees)
 
 
@@ -188,7 +164,7 @@ def spec_without(spec: Spec, setting: str) -> Spec:
         below = block.get(key)
         block = below if isinstance(below, dict) else {}
     block.pop(last, None)
-    found = _spec(from_plain(given, Mark("dict")))
+    found = _spec(Node.of(given, Mark("dict")))
     found._text = spec.text
     found._origins = {path: spec.origins.get(path, str(DEFAULT)) for path in found.origins}
     return found
@@ -199,4 +175,4 @@ def _with_runs(base: Spec, name: str, seeds: tuple[int, ...], mark: Mark) -> Nod
 
     Without defaults: if another plugin replaces one, they would become settings of the other one.
     """
-    return from_plain({**base.alone().given(), "name": name, "seeds": list(seeds)}, mark)
+    return Node.of({**base.alone().given(), "name": name, "seeds": list(seeds)}, mark)

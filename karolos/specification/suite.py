@@ -20,7 +20,7 @@ from .files import SHIPPED, SpecFiles, find_spec, relative_name, unreadable
 from .load import load_spec
 from .model import Name, Spec
 from .parts import validate_strictly
-from .tree import Node, nested, refusal, refuse, shown
+from .tree import Node, refuse, shown
 
 
 class SuiteEntry(Settings):
@@ -93,7 +93,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     keys = (tree.mapping or {}).keys()
     if "specs" not in keys and keys & (Spec.model_fields.keys() - SuiteFile.model_fields.keys()):
         hint = f"`karolos run {shown(str(path))}` trains it"
-        raise refusal(tree.at, "the file is a spec, not a suite", hint)
+        raise tree.at.refusal("the file is a spec, not a suite", hint)
     refuse([*files.problems, *files.broken])
     try:
         found: SuiteFile = validate_strictly(SuiteFile, tree.plain())
@@ -111,7 +111,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
             near = given.value if given.value.startswith(SHIPPED) else relative_name(given.at.source, given.value)
             file = str(near if os.path.isfile(find_spec(near)[0]) else given.value)
             if wrong := unreadable(find_spec(file)[0]):
-                raise refusal(given.at, f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
+                raise given.at.refusal(f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
             spec = plain = load_spec(file, (), above)
             try:
                 spec = _overridden(file, overrides, above) if overrides else plain
@@ -153,4 +153,4 @@ def _written_out(tree: Node, stem: str) -> Node:
 
 def _trees(settings: Node | None) -> list[Node]:
     """Each setting as a tree to merge into a spec."""
-    return [nested(key, node) for key, node in ((settings and settings.mapping) or {}).items()]
+    return [node.under(key) for key, node in ((settings and settings.mapping) or {}).items()]

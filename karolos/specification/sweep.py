@@ -20,7 +20,7 @@ from pydantic import Field as Setting
 
 from ..core import Measure, Settings
 from ..errors import Problem, UsageError, alternatives
-from .tree import RANDOMIZATION, Node, nested, segments
+from .tree import RANDOMIZATION, Node, segments
 
 Seed = Annotated[int, Setting(ge=0, le=2**63 - 1)]
 """A seed of at most 63 bits, which every database stores as a number."""
@@ -321,13 +321,13 @@ def space_problems(space: Node, sweep: Sweep, problems_of: Callable[[Sequence[No
             if refused & drawn.items():
                 continue
             above = application_order(drawn)
-            changes = [nested(name, values[name][drawn[name]]) for name in above]
+            changes = [values[name][drawn[name]].under(name) for name in above]
             if off := _without_settings(above, changes, key):
                 what, hint = f"{off} has no such setting when it is {drawn[off]!r}", f"add when: {{{off}: ...}}"
                 wrong[Problem(space[key].place, f"sweep.space.{key}", what, hint)] = None
                 continue
             for value, node in values[key].items():
-                if problems := problems_of([*changes, nested(key, node)]):
+                if problems := problems_of([*changes, node.under(key)]):
                     wrong.update(dict.fromkeys(_at_parameter(space[key], key, problem) for problem in problems))
                     refused.add((key, value))
     return list(wrong)

@@ -65,6 +65,10 @@ class Mark:
     def order(self) -> tuple[int, int, int]:
         return self.rank, self.line, self.column
 
+    def refusal(self, what: str, hint: str | None = None, *, setting: str = "") -> SpecError:
+        """An error with one problem, here."""
+        return SpecError([Problem(self, setting, what, hint)])
+
 
 DEFAULT = Mark("default", rank=1_000_000)
 
@@ -133,6 +137,92 @@ class Node:
         for node in self.mapping.values() if self.mapping is not None else self.items or ():
             yield from node.walk()
 
+    @property
+    def text(self) -> str:
+        """The value for messages."""
+        if self.mapping is not None:
+            return "a mapping"
+        if self.items is not None:
+            return "a list"
+        if self.value is None or isinstance(self.value, bool):
+            return {None: "null", True: "true", False: "false"}[self.value]
+        return shown(repr(self.value))
+
+    def variable_problems(self, path: Path = ()) -> Iterator[Problem]:
+        """A problem for each path that begins with ~ or contains a $VARIABLE. Launcher commands and secrets may."""
+        entries = self.mapping.items() if self.mapping is not None else enumerate(self.items or ())
+        for key, node in entries:
+            if (*path, key) != ("launcher",):
+                yield from node.variable_problems((*path, key))
+        # a plugin reads a secret from the named variable
+        secret = is_secret(next((step for step in reversed(path) if isinstance(step, str)), ""))
+        if not secret and isinstance(self.value, str) and _VARIABLE.match(self.value):
+            what = f"{shown(self.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
+            yield Problem(self.at, dotted(path), what, "write the path itself; a relative one moves with its project")
+
+    def anchored(self, folder: FilePath) -> Node:
+        """The tree with absolute names of the files that parts name relative to `folder`."""
+        if self.items is not None:
+            return Node([one.anchored(folder) for one in self.items], self.at, self.key)
+        if self.mapping is None:
+            return self
+        plugin = self.get("name")
+        entries = {
+            key: Node(str(_found(one.value, folder)), one.at, one.key)
+            if isinstance(one.value, str) and (key == "robot.file" or (plugin and (plugin.value, key) in FILES))
+            else one.anchored(folder)
+            for key, one in self.mapping.items()
+        }
+        return Node(entries, self.at, self.key)
+
+    def normalised(self, path: tuple[str, ...] = ()) -> Node:
+        """The tree without shorthand: `robot: ur5` becomes `robot: {name: ur5}`, a number a distribution of it."""
+        if is_part(path):
+            if isinstance(self.value, str):
+                return Node({"name": self}, self.at, self.key)
+            if path[0] == RANDOMIZATION and isinstance(self.value, int | float) and not isinstance(self.value, bool):
+                values = Node([Node(self.value, self.at)], self.at)
+                return Node({"name": Node("choice", self.at), "values": values}, self.at, self.key)
+            return self
+        if self.mapping is not None and (not path or path == (RANDOMIZATION,)):
+            entries = {key: entry.normalised((*path, key)) for key, entry in self.mapping.items()}
+            return Node(entries, self.at, self.key)
+        return self
+
+    def merged(self, above: Node, path: tuple[str, ...] = ()) -> Node:
+        """Merge `above` into this tree, mapping by mapping; other values are replaced.
+
+        A part with another name replaces the whole part, because plugins have different settings. (For changes of only
+        the name see `merge`.) A parameter of a search space is replaced as a whole.
+        """
+        if self.mapping is None or above.mapping is None:
+            return above
+        is_parameter = len(path) == 3 and path[:2] == (SWEEP, "space")
+        if (is_part(path) and _changes_name(self, above)) or is_parameter:
+            return above
+        entries = dict(self.mapping)
+        for key, entry in above.mapping.items():
+            entries[key] = entries[key].merged(entry, (*path, key)) if key in entries else entry
+        return Node(entries, above.at, above.key)
+
+    def under(self, key: str) -> Node:
+        """The tree for merging that contains this value at a dotted path."""
+        tree = self
+        for step in reversed(segments(key)):
+            tree = Node({step: tree}, self.at, self.key)
+        return tree.normalised()
+
+    @classmethod
+    def of(cls, value: object, mark: Mark) -> Node:
+        """A tree of nodes from dicts, lists, tuples and scalars, all with the same mark.
+
+        Raises SpecError for values that a spec cannot contain; carries all of them.
+        """
+        problems: list[Problem] = []
+        node = _from_plain(value, mark, (), problems)
+        refuse(problems)
+        return node
+
 
 def refuse(problems: Iterable[Problem]) -> None:
     """Raise a SpecError with all problems, sorted by position, if there are any."""
@@ -141,26 +231,10 @@ def refuse(problems: Iterable[Problem]) -> None:
         raise SpecError(ordered)
 
 
-def refusal(where: Mark, what: str, hint: str | None = None, *, setting: str = "") -> SpecError:
-    """An error with one problem."""
-    return SpecError([Problem(where, setting, what, hint)])
-
-
 def shown(text: str) -> str:
     """Text from a spec for messages: escaped if not printable, and shortened."""
     safe = text if text.isprintable() else ascii(text)[1:-1]
     return safe if len(safe) <= 200 else f"{safe[:200]}..."
-
-
-def written(node: Node) -> str:
-    """A node's value for messages."""
-    if node.mapping is not None:
-        return "a mapping"
-    if node.items is not None:
-        return "a list"
-    if node.value is None or isinstance(node.value, bool):
-        return {None: "null", True: "true", False: "false"}[node.value]
-    return shown(repr(node.value))
 
 
 def dotted(path: Sequence[str | int]) -> str:
@@ -169,18 +243,6 @@ def dotted(path: Sequence[str | int]) -> str:
     for step in path:
         text += f"[{step}]" if isinstance(step, int) else f"{'.' if text else ''}{shown(step)}"
     return text
-
-
-def from_plain(value: object, mark: Mark) -> Node:
-    """A tree of nodes from dicts, lists, tuples and scalars, all with the same mark.
-
-    Raises:
-        SpecError: values that a spec cannot contain; carries all of them.
-    """
-    problems: list[Problem] = []
-    node = _from_plain(value, mark, (), problems)
-    refuse(problems)
-    return node
 
 
 def _from_plain(value: object, mark: Mark, path: Path, problems: list[Problem]) -> Node:
@@ -217,35 +279,6 @@ def leaves(value: object, path: Path = (), *, lists: bool = False) -> Iterator[t
         yield path, value
 
 
-def variable_problems(tree: Node, path: Path = ()) -> Iterator[Problem]:
-    """A problem for each path that begins with ~ or contains a $VARIABLE. Launcher commands and secrets may do so."""
-    entries = tree.mapping.items() if tree.mapping is not None else enumerate(tree.items or ())
-    for key, node in entries:
-        if (*path, key) != ("launcher",):
-            yield from variable_problems(node, (*path, key))
-    # a plugin reads a secret from the named variable
-    secret = is_secret(next((step for step in reversed(path) if isinstance(step, str)), ""))
-    if not secret and isinstance(tree.value, str) and _VARIABLE.match(tree.value):
-        what = f"{shown(tree.value)}: ~ and variables are not replaced, so that a spec means the same everywhere"
-        yield Problem(tree.at, dotted(path), what, "write the path itself; a relative one moves with its project")
-
-
-def anchored(node: Node, folder: FilePath) -> Node:
-    """The tree with absolute names of the files that parts name relative to `folder`."""
-    if node.items is not None:
-        return Node([anchored(one, folder) for one in node.items], node.at, node.key)
-    if node.mapping is None:
-        return node
-    plugin = node.get("name")
-    entries = {
-        key: Node(str(_found(one.value, folder)), one.at, one.key)
-        if isinstance(one.value, str) and (key == "robot.file" or (plugin and (plugin.value, key) in FILES))
-        else anchored(one, folder)
-        for key, one in node.mapping.items()
-    }
-    return Node(entries, node.at, node.key)
-
-
 def _found(name: str, folder: FilePath) -> FilePath | str:
     """A file by its absolute name. A file of a missing package keeps its name."""
     return (installed_file(name) or name) if name.startswith(INSTALLED) else folder / name
@@ -256,49 +289,9 @@ def is_part(path: tuple[str, ...]) -> bool:
     return (len(path) == 1 and path[0] in PARTS) or (len(path) == 2 and path[0] == RANDOMIZATION)
 
 
-def normalised(node: Node, path: tuple[str, ...] = ()) -> Node:
-    """The tree without shorthand: `robot: ur5` becomes `robot: {name: ur5}`, a number a distribution of this value."""
-    if is_part(path):
-        if isinstance(node.value, str):
-            return Node({"name": node.with_key(node.key)}, node.at, node.key)
-        if path[0] == RANDOMIZATION and isinstance(node.value, int | float) and not isinstance(node.value, bool):
-            values = Node([Node(node.value, node.at)], node.at)
-            return Node({"name": Node("choice", node.at), "values": values}, node.at, node.key)
-        return node
-    if node.mapping is not None and (not path or path == (RANDOMIZATION,)):
-        entries = {key: normalised(entry, (*path, key)) for key, entry in node.mapping.items()}
-        return Node(entries, node.at, node.key)
-    return node
-
-
-def merged(below: Node, above: Node, path: tuple[str, ...] = ()) -> Node:
-    """Merge `above` into `below`, mapping by mapping; other values are replaced.
-
-    A part with another name replaces the whole part, because plugins have different settings. (For changes of only
-    the name see `merge`.) A parameter of a search space is replaced as a whole.
-    """
-    if below.mapping is None or above.mapping is None:
-        return above
-    is_parameter = len(path) == 3 and path[:2] == (SWEEP, "space")
-    if (is_part(path) and _changes_name(below, above)) or is_parameter:
-        return above
-    entries = dict(below.mapping)
-    for key, entry in above.mapping.items():
-        entries[key] = merged(entries[key], entry, (*path, key)) if key in entries else entry
-    return Node(entries, above.at, above.key)
-
-
 def _changes_name(below: Node, above: Node) -> bool:
     old, new = below.get("name"), above.get("name")
     return old is not None and new is not None and old.value != new.value
-
-
-def nested(key: str, value: Node) -> Node:
-    """The tree for merging that contains the value at a dotted path."""
-    tree = value
-    for step in reversed(segments(key)):
-        tree = Node({step: tree}, value.at, value.key)
-    return normalised(tree)
 
 
 def segments(key: str) -> list[str]:
@@ -326,13 +319,13 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
     """
     tree = written
     for change in changes:
-        tree = merged(tree, _with_shared_settings(tree, change))
-    entries = dict(anchored(_without_nulls(tree), FilePath.cwd()).mapping or {})
+        tree = tree.merged(_with_shared_settings(tree, change))
+    entries = dict(_without_nulls(tree).anchored(FilePath.cwd()).mapping or {})
     joined = "robot" in entries and "task" in entries
     for key, name in DEFAULT_PLUGINS.items():
         if joined or name != ROBOT_TASK:  # below what is given: `buffer: {capacity: 1e5}` needs no name
             default = Node({"name": Node(name, DEFAULT, DEFAULT)}, DEFAULT, DEFAULT)
-            entries[key] = merged(default, entries[key], (key,)) if key in entries else default
+            entries[key] = default.merged(entries[key], (key,)) if key in entries else default
     if "name" not in entries:
         entries["name"] = Node(_described(entries) if stem is None else stem, DEFAULT, DEFAULT)
     return Node(entries, written.at, written.key)
@@ -346,7 +339,7 @@ def _with_shared_settings(tree: Node, change: Node) -> Node:
             before, after = (_types(key, part["name"].value) for part in (below, above))
             same = {name for name in before if name in after and before[name] == after[name]}
             shared = {name: node for name, node in (below.mapping or {}).items() if name in same - set(above.mapping)}
-            return merged(Node({key: Node(shared, above.at)}, change.at), change)
+            return Node({key: Node(shared, above.at)}, change.at).merged(change)
     return change
 
 

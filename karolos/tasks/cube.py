@@ -361,10 +361,6 @@ class Carrier:
         near = sum((a - b) ** 2 for a, b in zip(robot.tool_position, self._cube.position, strict=True)) < size**2
         return near and 0.8 * size < robot.opening * self._gripper.width < 1.45 * size
 
-    def _holding(self) -> bool:
-        """Whether the cube is between the pads, and both touched it before it was lifted."""
-        return self._enclosed() and (self._held >= CLOSING_STEPS or self._robot.pads_touching(self._cube.body) == 2)
-
     def act(self, goal: Vector, floor: float = 0.0) -> FloatArray:
         """The next action. `floor`: height in m of objects on the floor; the hand stays above it on its way."""
         robot, (x, y, z), (tx, ty, tz) = self._robot, self._cube.position, self._robot.tool_position
@@ -372,7 +368,9 @@ class Carrier:
         if self._closing:
             self._closing += 1
             lifted = self._held > CLOSING_STEPS
-            self._held = self._held + 1 if self._holding() else 0
+            # between the pads, both of which touched it before it was lifted
+            held = self._held >= CLOSING_STEPS or robot.pads_touching(self._cube.body) == 2
+            self._held = self._held + 1 if self._enclosed() and held else 0
             if self._held > CLOSING_STEPS:
                 return robot.towards(self._transport(goal, floor), 0.0)
             if not lifted and self._closing < GRASP_PATIENCE:

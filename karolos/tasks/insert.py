@@ -8,13 +8,14 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalRule, Layout, Measure, Settings
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure, Settings
 from ..errors import PluginError, UsageError
 from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
 from .cube import LOST_DISTANCE, aligned, check_pads
+from .point_goal import PointGoal
 from .settings import ForcePenalty, drawn_stage, seen, start
 
 PEG_COLOUR, BLOCK_COLOUR = (0.93, 0.45, 0.13, 1.0), (0.35, 0.42, 0.5, 1.0)
@@ -47,11 +48,13 @@ SCALES = (0.004, 0.001)
 """Scales in m of additional observations tanh(error / scale): without them networks do not see .1 mm."""
 TURN_SCALE = 0.05
 """The same in rad."""
+NEAR = (0, 0.0), (1, 0.0), (2, 0.0), (2, DEPTH)
+"""Axes of the errors and offsets in m: from the mouth of the hole, and from its bottom."""
 TOUCH, TOUCH_SCALES = Layout((Field("touch", 4),)), (5.0, 0.01, 0.01, 0.05)
 """Field that is also observed if the hole is not known exactly, and its scales in N, m, m and N m."""
 
 
-class Insertion(GoalRule):
+class Insertion(PointGoal):
     """Success if the tip is deep enough and turned like the hole, and no force was too large.
 
     `achieved` (..., 7): the tip from the mouth of the hole (3, m), the peg's turn to the nearest position that fits (3,
@@ -64,25 +67,19 @@ class Insertion(GoalRule):
         turn: largest angle of the turn, in rad.
     """
 
-    reward_range = (-1.0, 0.0)
-
     def __init__(self, tolerance: float, aside: float, turn: float) -> None:
-        self.tolerance, self.aside, self.turn = tolerance, aside, turn
-
-    def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        return -np.asarray(~self.success(achieved, desired), np.float32)
+        super().__init__(tolerance, dense=False, span=1.0)
+        self.aside, self.turn = aside, turn
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         off = np.abs(achieved[..., :6] - desired)
         aside, turn = np.hypot(off[..., 0], off[..., 1]), np.vecdot(off[..., 3:], off[..., 3:])
-        there = (off[..., 2] < self.tolerance) & (aside < self.aside) & (turn < self.turn**2)
+        there = (off[..., 2] < self.threshold) & (aside < self.aside) & (turn < self.turn**2)
         whole: BoolArray = there & (achieved[..., 6] == 0)
         return whole
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        off = achieved[..., :3] - desired[..., :3]
-        metres: FloatArray = np.sqrt(np.vecdot(off, off), dtype=np.float32)
-        return metres
+        return super().distance(achieved[..., :3], desired[..., :3])
 
 
 class Insert(Task):
@@ -157,6 +154,12 @@ class Insert(Task):
             Field("overloaded", 1, kind="scalar"),
         )
     )
+    fine_fields = {  # noqa: RUF012
+        "near_errors": [
+            *(("tip_from_hole", axis, offset, scale) for scale in SCALES for axis, offset in NEAR),
+            *(("peg_turn", axis, 0.0, TURN_SCALE) for axis in range(3)),
+        ]
+    }
     critic_only = Layout((Field("hole_error", 3, "m, rad"), Field("peg_forces", 2, "N")))
     measures = (
         Measure(
@@ -307,8 +310,7 @@ class Insert(Task):
     def observe(self) -> list[float]:
         place = seen(self._robot, self.tip_from_hole)
         values = self._robot.with_noise([*place, *self.turn, *self.tip_velocity, *self.spin])
-        x, y, z = values[:3]
-        near = [tanh(error / scale) for scale in SCALES for error in (x, y, z, z + DEPTH)]
+        near = [tanh((values[axis] + offset) / scale) for scale in SCALES for axis, offset in NEAR]
         near += [tanh(error / TURN_SCALE) for error in values[3:6]]
         rotation, wrench = self._robot.tool.orientation, self._robot.wrench
         felt = [*rotated(rotation, wrench[:3]), *rotated(rotation, wrench[3:])]
@@ -442,7 +444,6 @@ def _sides(settings: Insert.Settings, wider: float, wall: float) -> list[_Face]:
     """The sides of a hole.
 
     Args:
-        settings: shape and play.
         wider: distance in m by which each side is further out: the width of the chamfer.
         wall: thickness in m of walls behind the sides. The walls are longer and meet at the outer corners. A side
             without a wall of its own then has no length.

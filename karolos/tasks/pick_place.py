@@ -49,8 +49,7 @@ class StagedPick(PointGoal):
         raised = np.clip((cube[..., 2] - self.rest) / np.maximum(height, 1e-3), 0, 1)
         lift = np.where(height < self.threshold, 1.0, raised)
         staged = (reach + pads + lift + transport) / 4 - 1
-        reward: FloatArray = np.where(self.success(achieved, desired), 0.0, np.clip(staged, -1, 0)).astype(np.float32)
-        return reward
+        return np.where(self.success(achieved, desired), 0.0, np.clip(staged, -1, 0)).astype(np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         return super().success(achieved[..., :3], desired)

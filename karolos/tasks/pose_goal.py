@@ -7,10 +7,11 @@ from math import cos, pi, sin, sqrt
 
 import numpy as np
 
-from ..core import Array, BoolArray, Field, FloatArray, Generator, GoalRule
+from ..core import Array, BoolArray, Field, FloatArray, Generator
 from ..errors import UsageError
 from ..simulation.geometry import Orientations, Quaternion, Vector, angles, columns, matrix_of
 from ..simulation.interface import Box, RobotView
+from .point_goal import PointGoal
 
 METRES_PER_RADIAN = 0.1
 """Cost in m of a radian in a dense reward."""
@@ -44,7 +45,7 @@ def check_turning(robot: RobotView) -> Box:
     return robot.dexterous
 
 
-class PoseGoal(GoalRule):
+class PoseGoal(PointGoal):
     """Success if position and orientation of `achieved` (..., 9) are both near those of `desired` (..., 9).
 
     Sparse reward: 0 on success, else -1. Dense reward: minus the distance in m, minus .1 m per rad of the angle.
@@ -69,8 +70,8 @@ class PoseGoal(GoalRule):
         symmetries: Sequence[Quaternion] = (),
         axis: Vector | None = None,
     ) -> None:
-        self.threshold, self.angle_threshold, self.dense = threshold, angle_threshold, dense
-        self.reward_range = (-span - METRES_PER_RADIAN * pi, 0.0) if dense else (-1.0, 0.0)
+        super().__init__(threshold, dense=dense, span=span + METRES_PER_RADIAN * pi)
+        self.angle_threshold = angle_threshold
         turns = [matrix_of(one).ravel() for one in ((0.0, 0.0, 0.0, 1.0), *symmetries)] if symmetries else []
         self._turns = np.array(turns, np.float32)
         """Their rotation matrices (k, 9), beginning with the turn by 0."""
@@ -78,19 +79,17 @@ class PoseGoal(GoalRule):
         self._reversed = axis is not None and any(np.dot(matrix_of(one) @ axis, axis) < 0 for one in symmetries)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        if self.dense:
-            lost = self.distance(achieved, desired) + np.float32(METRES_PER_RADIAN) * self.angle(achieved, desired)
-            return np.asarray(-lost, np.float32)
-        return -np.asarray(~self.success(achieved, desired), np.float32)
+        if not self.dense:
+            return super().reward(achieved, desired)
+        lost = self.distance(achieved, desired) + np.float32(METRES_PER_RADIAN) * self.angle(achieved, desired)
+        return np.asarray(-lost, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         near = self.distance(achieved, desired) < self.threshold
         return np.asarray(near & (self.angle(achieved, desired) < self.angle_threshold))
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        difference = achieved[..., :3] - desired[..., :3]
-        metres: FloatArray = np.sqrt(np.vecdot(difference, difference), dtype=np.float32)
-        return metres
+        return super().distance(achieved[..., :3], desired[..., :3])
 
     def angle(self, achieved: Array, desired: Array) -> FloatArray:
         first, second = achieved[..., 3:], desired[..., 3:]

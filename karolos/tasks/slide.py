@@ -53,8 +53,7 @@ class Rest(PointGoal):
         return -metres if self.dense else -np.asarray(metres >= self._near, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        there: BoolArray = (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
-        return there
+        return (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
         return super().distance(achieved[..., :2], desired)

@@ -45,21 +45,17 @@ class Landing(GoalRule):
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
         difference = achieved[..., :2] - desired
         metres = np.sqrt(np.vecdot(difference, difference))
-        landed: FloatArray = np.where(achieved[..., 2] > 0.5, metres, np.inf).astype(np.float32)
-        return landed
+        return np.where(achieved[..., 2] > 0.5, metres, np.inf).astype(np.float32)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         near = 1 - np.tanh(2 * self.distance(achieved, desired)) if self.dense else self.success(achieved, desired)
-        reward: FloatArray = (near - self.failure_cost * (achieved[..., 2] < -0.5)).astype(np.float32)
-        return reward
+        return (near - self.failure_cost * (achieved[..., 2] < -0.5)).astype(np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        near: BoolArray = self.distance(achieved, desired) < self.threshold
-        return near
+        return self.distance(achieved, desired) < self.threshold
 
     def terminated(self, achieved: Array, desired: Array) -> BoolArray:  # noqa: ARG002 (wherever the target is)
-        landed: BoolArray = np.abs(achieved[..., 2]) > 0.5
-        return landed
+        return np.abs(achieved[..., 2]) > 0.5
 
 
 class Throw(CubeTask):

@@ -140,8 +140,7 @@ class ThrowPlanner:
         reach: the largest horizontal distance of the tool from the robot's axis, in m.
         furthest: the largest landing distance from that axis, in m.
 
-    Raises:
-        UsageError: no joint turns a vertical plane with two swinging joints in it, or actions do not turn joints.
+    Raises UsageError if no joint turns a vertical plane with two swinging joints in it, or actions do not turn joints.
     """
 
     def __init__(self, robot: RobotView, height: float) -> None:

@@ -11,7 +11,8 @@ from support.commands import call
 from support.fourth_robot import exported_arm
 from support.processes import Here
 
-from karolos.plugins import robot_check, robot_score
+from karolos.plans import robot_score
+from karolos.plugins import robot_check
 from karolos.plugins.contracts import cases
 from karolos.records.shipped import FOLDER, shipped_names
 

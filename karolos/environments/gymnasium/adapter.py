@@ -414,13 +414,11 @@ class GymnasiumGoals(GoalRule):
     Args:
         make: makes the environment; can be pickled.
         env: made by it. Episodes are played in it to check the rule.
-        name: of the environment, for messages.
         success_reward: reward from which a goal is reached; None: the reward where both goals are equal.
         goal_terminates: whether reaching the goal ends an episode; None: as `compute_terminated` says.
 
-    Raises:
-        UsageError: goals that cannot be laid out flat, or a `compute_reward` that is missing, not vectorised, or
-            disagrees with the environment's rewards.
+    Raises UsageError for goals that cannot be laid out flat, or a `compute_reward` that is missing, not vectorised, or
+    disagrees with the environment's rewards.
     """
 
     def __init__(
@@ -527,10 +525,9 @@ class GymnasiumGoals(GoalRule):
         except KarolosError:
             raise
         except Exception as error:  # a method may raise anything
-            line = (str(error).splitlines() or [""])[0]
             raise UsageError(
                 f"compute_reward of {self._name} does not take arrays of goals (n, a) and (n, d) and an empty info: "
-                f"{type(error).__name__}: {line}",
+                f"{described(error)}",
                 setting=GOALS_SETTING,
                 hint="compute the rewards (n,) along the last axis, only from the goals",
             ) from error

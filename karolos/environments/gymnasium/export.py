@@ -98,8 +98,7 @@ class GoalEnv(Goals, gymnasium.Env[Observation, NDArray[np.float32]]):
         width: of a picture in pixels.
         height: of a picture in pixels.
 
-    Raises:
-        UsageError: the environment has no goals.
+    Raises UsageError if the environment has no goals.
     """
 
     metadata = {"render_modes": RENDER_MODES, "render_fps": 24}  # noqa: RUF012  (gymnasium reads it from the class)
@@ -187,8 +186,6 @@ class RobotTaskEnv(GoalEnv):
     """One robot with one task. `render_mode`, `width` and `height` as of `GoalEnv`.
 
     Args:
-        robot: name of a robot.
-        task: name of a task.
         randomization: as in a spec, e.g. {"task.gravity": {"name": "normal", "mean": -9.81, "std": 0.1}}.
         settings: of the robot, the task and the environment (`substeps`, `actions`); each goes to the part that
             declares it.

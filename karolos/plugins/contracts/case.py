@@ -25,7 +25,6 @@ class Candidate:
     Args:
         kind: of plugin, as the registry calls it: robots, tasks, ...
         name: its name in specs.
-        plugin: its class.
         settings: those that differ from the defaults.
         engine: in which a robot or a task is simulated; by default the environment's default.
     """
@@ -39,8 +38,7 @@ class Candidate:
     def settled(self, **more: Any) -> Any:
         """The plugin's settings, with `more` on top.
 
-        Raises:
-            UsageError: a setting without a default is missing, or a value is invalid.
+        Raises UsageError if a setting without a default is missing, or a value is invalid.
         """
         try:
             return self.plugin.Settings.model_validate({**self.settings, **more})
@@ -64,22 +62,18 @@ def candidate(kind: str, name: str, engine: Engine | None = None, **settings: An
 class Case:
     """A promise with the plugins for which a call checks it.
 
-    Raises:
-        AssertionError: the promise is broken; the message is one line.
+    Raises AssertionError if the promise is broken; the message is one line.
     """
 
     promise: Callable[..., None]
     candidates: tuple[Candidate, ...]
-    opened: Callable[..., AbstractContextManager[Any]] | None = None
-    """Builds the subject of the promise from the candidates; None: the promise gets the candidates."""
-    basic: bool = False
-    """Whether all other promises depend on this one."""
+    group: Promises
 
     def __call__(self) -> None:
-        if self.opened is None:
+        if self.group.opened is None:
             self.promise(*self.candidates)
             return
-        with self.opened(*self.candidates) as subject:
+        with self.group.opened(*self.candidates) as subject:
             self.promise(subject)
 
     def __str__(self) -> str:
@@ -98,8 +92,8 @@ class Promises(list[Callable[..., None]]):
     """Promises in the order in which they are checked. As a decorator it adds one.
 
     Args:
-        opened: see `Case`.
-        basic: see `Case`.
+        opened: builds the subject of the promises from the candidates; None: a promise gets the candidates.
+        basic: whether all other promises depend on these.
     """
 
     def __init__(
@@ -113,7 +107,7 @@ class Promises(list[Callable[..., None]]):
         return promise
 
     def cases(self, *candidates: Candidate) -> list[Case]:
-        return [Case(promise, candidates, self.opened, self.basic) for promise in self]
+        return [Case(promise, candidates, self) for promise in self]
 
 
 def demand(holds: object, otherwise: str) -> None:
@@ -162,8 +156,6 @@ def state_differences(one: object, other: object, *, ignore: frozenset[str] = fr
     """Key paths at which two nested states of dicts, lists and arrays differ. NaN equals NaN.
 
     Args:
-        one: a state.
-        other: another state.
         ignore: keys of dicts that are not compared.
         path: prefix of the key paths.
     """

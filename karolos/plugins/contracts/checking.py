@@ -28,7 +28,6 @@ def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
     """Every promise of a plugin.
 
     Args:
-        one: the plugin.
         alone: leave out the promises of a robot with each installed task, of a task with each installed robot, and of a
             gripper with the arms whose own it is.
 
@@ -62,7 +61,7 @@ def of_pair(robot: Candidate, task: Candidate) -> list[Case]:
 
     A task that refuses the robot has to give a reason; nothing else is checked then.
     """
-    if task.plugin.uses_gripper and not _has_gripper(robot):
+    if task.plugin.uses_gripper and robot.plugin(robot.settled()).gripper is None:
         return []
     if refusal(robot, task) is not None:
         return pairs.REFUSED.cases(robot, task)
@@ -82,7 +81,7 @@ def results(found: Iterable[Case]) -> Iterator[tuple[Case, str | None]]:
     for case in found:
         problem = _problem(case)
         yield case, problem
-        if case.basic and problem is not None:
+        if case.group.basic and problem is not None:
             return
 
 
@@ -163,10 +162,6 @@ def _of_grip(robot: Candidate) -> list[Case]:
     if gripper is None:
         return []
     return robots.GRIPPER.cases(robot) + (robots.CUP if isinstance(gripper, Cup) else robots.FINGERS).cases(robot)
-
-
-def _has_gripper(robot: Candidate) -> bool:
-    return robot.plugin(robot.settled()).gripper is not None
 
 
 def _all(kind: str) -> list[Candidate]:

@@ -35,8 +35,6 @@ def join(
     """A robot with a task.
 
     Args:
-        robot: a robot.
-        task: a task.
         drawn: values that randomization gives to parameters of the two.
         substeps: physics steps per control step; by default the environment's.
         settings: of the task.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from statistics import fmean
-from typing import Any
 
 import numpy as np
 
@@ -119,16 +118,12 @@ def _declared(environment: RobotTask) -> dict[str, tuple[float, float, float]]:
 
 def _trace(environment: RobotTask, seed: int) -> bytes:
     """Observations and motor torques of up to 30 steps with random actions, of which the first 14 lower the arm."""
-    seen = [environment.reset(seed).observation]
-    robot: Any = environment.robot
+    seen = environment.reset(seed).observation.tobytes()
     actions = random_actions(environment.signature, 30, np.random.default_rng(0))
     actions[:14, 2] = -1.0
     for action in actions:
         after = environment.step(action)
-        seen += [
-            after.observation,
-            np.array([state[3] for state in robot.body.joints(range(len(robot.limits.effort)))]),
-        ]
+        seen += after.observation.tobytes() + np.array(environment.robot.joint_torques).tobytes()
         if after.terminated or after.truncated:
             break
-    return b"".join(observation.tobytes() for observation in seen)
+    return seen

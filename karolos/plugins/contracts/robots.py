@@ -82,14 +82,13 @@ GRIPPER, FINGERS, CUP = Promises(grasping), Promises(grasping), Promises(graspin
 @ARM
 def no_joint_leaves_its_range_under_full_actions(environment: RobotTask) -> None:
     """Full actions in changing directions bring no joint out of its range, and some joint to half its speed."""
-    limits = environment.robot.limits
+    robot, limits = environment.robot, environment.robot.limits
     lower, upper, speeds = (np.array(values) for values in (limits.lower, limits.upper, limits.velocity))
     environment.reset(0)
     fastest = np.zeros(len(speeds))
     for action in (*_full_actions(environment, 150, held=5), *_full_actions(environment, 150, held=1)):
         environment.step(action)
-        positions, velocities, _, _ = zip(*_body(environment).joints(range(len(speeds))), strict=True)
-        fastest = np.maximum(fastest, np.abs(velocities))
+        fastest, positions = np.maximum(fastest, np.abs(robot.joint_velocities)), np.array(robot.joint_positions)
         inside = (positions > lower - 0.02) & (positions < upper + 0.02)
         demand(inside.all(), f"joint {limits.name(int(np.argmin(inside)))} leaves its range")
     demand((fastest > 0.5 * speeds).any(), "full actions bring no joint to half its speed")
@@ -131,7 +130,7 @@ def the_state_of_the_tool_is_that_of_the_physics(environment: RobotTask) -> None
         environment.step(action)
         speed = float(np.linalg.norm((np.array(robot.tool_position) - before) * 24))
         demand(speed < 3, f"the tool moves at {speed:.2f} m/s, faster than 3 m/s")
-        state = _body(environment).link(len(robot.limits.lower) - 1)
+        state = robot.body.link(len(robot.limits.lower) - 1)
         offset = np.linalg.norm(np.array(robot.tool_position) - state.position)
         length = np.linalg.norm(robot.model.tool)
         demand(abs(offset - length) < 1e-6, f"the tool is {offset:.6f} m from the last link instead of {length:.6f}")
@@ -183,7 +182,7 @@ def each_parameter_acts_and_can_be_reset(environment: RobotTask) -> None:
         environment.reset(0)
         for action in random_actions(environment.signature, 10, _generator()):
             step = environment.step(action)
-        return step.observation, _torques(environment)
+        return step.observation, np.array(robot.joint_torques)
 
     observation, torques = end()
     for name, declared, value in _ends_of_the_arm(environment):
@@ -211,7 +210,7 @@ def dry_friction_takes_its_fraction_of_the_largest_torques(environment: RobotTas
         taken = np.zeros(len(most))
         for action in _full_actions(environment, 150, held=15):  # stopped by the floor or the end of a joint
             environment.step(action)
-            taken = np.maximum(taken, np.abs(_torques(environment)))
+            taken = np.maximum(taken, np.abs(robot.joint_torques))
         kept = (taken <= 1.01 * (1 - fraction) * most).all()
         demand(kept, f"with joint_friction = {fraction:g} motors take {taken.round(1)} N m")
         shares.append(float((taken / most).max()))
@@ -312,9 +311,8 @@ def a_spring_presses_as_its_stiffness_and_its_limit_say(environment: RobotTask) 
         start = robot.workspace.centre
         robot.place_tool(start, 0.0)
         aside = [0.0, 0.0, -0.045] if axis < 2 else [0.045, 0.045, 0.0]  # it meets an edge, which turns the tool, too
-        room = (
-            robot.workspace.high[axis] - start[axis] - settings.error_limit - 0.005
-        )  # set points stay in the workspace
+        # set points stay in the workspace
+        room = robot.workspace.high[axis] - start[axis] - settings.error_limit - 0.005
         aside[axis] = (0.05 + min(0.1, room)) * side
         wall.place(tuple(np.add(start, aside).tolist()))
         felt, pulled = np.zeros(6), np.zeros(6)
@@ -439,7 +437,7 @@ def each_pad_presses_with_the_force_of_the_gripper(environment: RobotTask) -> No
     measured = np.zeros(2)
     for _ in range(12):
         environment.step(np.array([0.0, 0.0, 0.0, -1.0]))
-        touched = [environment.world.contacts(robot.body, cube, pad) for pad in _pads(robot)]
+        touched = [environment.world.contacts(robot.body, cube, pad) for pad in robot.motors.pads]
         measured += [sum(contact.force for contact in contacts) / 12 for contacts in touched]
     declared = robot.gripper.force
     near = np.abs(measured / declared - 1) < 0.05
@@ -518,23 +516,6 @@ def _creep(environment: RobotTask) -> float:
     return float(np.linalg.norm(step.achieved_goal - before))
 
 
-def _body(environment: RobotTask) -> Any:
-    """The arm's simulated body, which tasks do not see."""
-    return environment.robot.body  # type: ignore[attr-defined]
-
-
-def _pads(robot: Any) -> list[int]:
-    """The links of the gripper's pads in the arm's simulated body."""
-    links = robot.body.links()
-    return [links[name] for name in robot.model.fingers.links]
-
-
-def _torques(environment: RobotTask) -> Array:
-    """Torques of the arm's motors in N m: (n,)."""
-    states = _body(environment).joints(range(len(environment.robot.limits.effort)))
-    return np.array([state[3] for state in states])
-
-
 def _ends_of_the_arm(environment: RobotTask) -> Iterator[tuple[str, RandomizedParameter, float]]:
     """Name, declaration and value of the lower and of the upper end of each parameter of the arm's dynamics."""
     for name, declared in environment.robot.parameters.items():
@@ -583,7 +564,7 @@ def _held_through_a_shake(environment: RobotTask, mass: float) -> Array:
         environment.step(np.array([0.0, 1.0 if shake % 2 else -1.0, 1.0 if shake % 4 < 2 else -1.0, -1.0]))
         poses.append(np.concatenate(cube.pose()))
         if isinstance(robot.gripper, Gripper):
-            first, second = robot.body.joints(_pads(robot))
+            first, second = robot.body.joints(robot.motors.pads)
             apart = max(apart, abs(first[0] - second[0]))
     creep = float(np.linalg.norm(position_in_gripper() - start))
     demand(creep < 0.002, f"a cube of {mass:g} kg creeps {1000 * creep:.1f} mm in the gripper")

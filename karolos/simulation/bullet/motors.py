@@ -22,8 +22,6 @@ class BulletMotors:
     """Implements `interface.Motors`. A motor is a constraint on the speed of its joint, limited in torque.
 
     Args:
-        substeps: physics steps per control step.
-        timestep: seconds of a physics step.
         joints: of the arm, from base to wrist, as the body counts them.
         pads: joints of the two fingers; empty without a gripper.
         tool: frame of the tool in the last link; None for an arm without.
@@ -188,8 +186,7 @@ class BulletMotors:
 
     def wrench(self) -> Sequence[float]:
         self.feels = True
-        felt: list[float] = self._wrench.tolist()
-        return felt
+        return self._wrench.tolist()
 
     def set_wrench_filter(self, seconds: float) -> None:
         self._share = 1 - exp(-self._timestep / seconds) if seconds else 1.0

@@ -78,10 +78,8 @@ class BulletWorld:
     another 5 %, but keeps state from before it was placed, so that episodes would not repeat bit for bit.
 
     Args:
-        substeps: physics steps per control step.
         rate: physics steps per second.
         window: whether a window shows the world, with the floor of the pictures.
-        camera: of the window.
 
     Raises MachineError when a window is requested and there is no display.
     """

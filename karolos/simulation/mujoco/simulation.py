@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import MachineError, PluginError
-from ..geometry import UPRIGHT, Quaternion, Vector
+from ..geometry import UPRIGHT, Quaternion, Vector, rotated
 from ..interface import GRAVITY, OBJECT_MATERIAL, LinkState, Material
 
 IMPEDANCE_RATIO = 100.0
@@ -239,8 +239,6 @@ class MujocoBody:
     The base of a free body has a free joint. Every other base is a mocap body, which only `place` moves.
 
     Args:
-        simulation: of the body's world.
-        index: of the body in its world.
         names: of the model's bodies: the base, then the links.
         shapes: names of the geoms that collide, of the base and of each link.
         free: whether the base moves.
@@ -310,12 +308,9 @@ class MujocoBody:
     def velocity(self) -> tuple[Vector, Vector]:
         if not self.free:
             return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        _, (x, y, z, w) = self.pose()
         dof = self.dofs[0]
-        vx, vy, vz, a, b, c = self._simulation.ready().qvel[dof : dof + 6].tolist()
-        # a free joint's angular velocity is in the body's frame: v + 2 w (u x v) + 2 u x (u x v) with u = (x, y, z)
-        i, j, k = 2 * (y * c - z * b), 2 * (z * a - x * c), 2 * (x * b - y * a)
-        return (vx, vy, vz), (a + w * i + y * k - z * j, b + w * j + z * i - x * k, c + w * k + x * j - y * i)
+        vx, vy, vz, *spin = self._simulation.ready().qvel[dof : dof + 6].tolist()
+        return (vx, vy, vz), rotated(self.pose()[1], spin)  # a free joint's angular velocity is in the body's frame
 
     def set_velocity(self, velocity: Vector) -> None:
         data, dof = self._simulation.writable(), self.dofs[0]

@@ -55,7 +55,6 @@ class MujocoWorld:
     shapes that may touch is declared; MuJoCo alone would use the larger coefficient.
 
     Args:
-        substeps: physics steps per control step.
         rate: physics steps per second.
 
     Raises UsageError if a window is requested, because there is none.
@@ -304,23 +303,18 @@ class MujocoWorld:
         self.close()  # renderers belong to the old model
         for pair in self._spec.pairs:
             self._spec.delete(pair)
-        for one, other in combinations(self._bodies, 2):
-            for first, second in product(range(-1, len(one.shapes) - 1), range(-1, len(other.shapes) - 1)):
-                if one.free or other.free or first >= 0 or second >= 0:  # one of the two moves
-                    self._pair(one, first, other, second)
-        for body in self._bodies:
-            for first, second in body.pairs:
-                self._pair(body, first, body, second)
-
-    def _pair(self, one: MujocoBody, first: int, other: MujocoBody, second: int) -> None:
-        """Let all shapes of a link of one body collide with all shapes of a link of another."""
-        for shape, opposite in product(one.shapes[first + 1], other.shapes[second + 1]):
-            self._spec.add_pair(
-                geomname1=shape,
-                geomname2=opposite,
-                condim=3,
-                margin=MARGIN,
-            )
+        touching = [
+            (one.shapes[first], other.shapes[second])
+            for one, other in combinations(self._bodies, 2)
+            for first, second in product(range(len(one.shapes)), range(len(other.shapes)))
+            if one.free or other.free or first or second  # one of the two moves
+        ]
+        touching += [
+            (body.shapes[first + 1], body.shapes[second + 1]) for body in self._bodies for first, second in body.pairs
+        ]
+        for pair in touching:
+            for shape, opposite in product(*pair):
+                self._spec.add_pair(geomname1=shape, geomname2=opposite, condim=3, margin=MARGIN)
 
 
 def _readable(robot: Element) -> tuple[Element, dict[str, bytes]]:
@@ -401,7 +395,4 @@ def _context(width: int, height: int) -> Any:
             problems.append(f"{name}: {error}")
             if platform is not None:
                 os.environ["PYOPENGL_PLATFORM"] = platform
-    raise MachineError(
-        f"MuJoCo finds no OpenGL for pictures ({'; '.join(problems)})",
-        hint=RENDERER_HINT,
-    )
+    raise MachineError(f"MuJoCo finds no OpenGL for pictures ({'; '.join(problems)})", hint=RENDERER_HINT)

@@ -13,17 +13,16 @@ from typing import Any
 
 import numpy as np
 
-from ..core import FloatArray, Step
+from ..core import FloatArray, Moment, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
 from ..errors import KarolosError, UsageError, alternatives
 from ..evaluation.changed_spec import changed_spec
-from ..evaluation.playing import Moment, evaluate, play_one
+from ..evaluation.playing import evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
 from ..files import write_whole, writing
-from ..plans.matrix_report import targets_table
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
@@ -32,6 +31,7 @@ from ..report.tables import Columns, Table, count, success
 from ..report.video import write_film
 from ..robots.arm import Arm
 from ..system import cores
+from .matrix_report import targets_table
 
 CAUSES = {
     "overloaded": "a force or a torque beyond the limits of a protective stop or of the task",
@@ -73,27 +73,24 @@ class Watch:
     """Observes an arm during one episode, to find the cause of a failure."""
 
     def __init__(self, environment: RobotTask, policy: Policy) -> None:
-        self._environment, self._act = environment, policy.act
-        self.policy = Policy(self._remembered, policy.begin)
-        self._clear()
+        self._task, self._action = environment.task, 0.0
+        self._arm: Any = environment.robot
 
-    def _clear(self) -> None:
-        self._touched = self._gripped = self._grips = self._limit = False
-        self._ways: deque[tuple[float, float]] = deque(maxlen=STUCK_STEPS)
-        self._action = 0.0
+        def act(state: Step) -> FloatArray:
+            action = policy.act(state)
+            self._action = float(np.abs(action[:3]).max())
+            return action
 
-    def _remembered(self, state: Step) -> FloatArray:
-        action = self._act(state)
-        self._action = float(np.abs(action[:3]).max())
-        return action
+        self.policy = Policy(act, policy.begin)
 
     def see(self, moment: Moment) -> None:
         """Record the state after a control step."""
-        if moment.step == 0:
-            self._clear()
-            self._place = self._arm.tool_position
-            return
         arm = self._arm
+        if moment.step == 0:
+            self._touched = self._gripped = self._grips = self._limit = False
+            self._ways: deque[tuple[float, float]] = deque(maxlen=STUCK_STEPS)
+            self._place = arm.tool_position
+            return
         pads = set(arm.motors.pads)
         pressed = arm.world.forces(arm.body)
         hand = pads or {len(arm.limits.lower) - 1}  # a gripper that the task does not use is a part of the last link
@@ -113,13 +110,9 @@ class Watch:
         """The cause of failure of the finished episode."""
         arm = self._arm
         stuck = all(way < STUCK * arm.tool_step and action > WANTED for way, action in self._ways)
-        overloaded = arm.stops > 0 or getattr(self._environment.task, "overloaded", False)
+        overloaded = arm.stops > 0 or getattr(self._task, "overloaded", False)
         signs = (overloaded, self._touched, self._limit, self._gripped and not self._grips, stuck, True)
         return next(cause for cause, shows in zip(CAUSES, signs, strict=True) if shows)
-
-    @property
-    def _arm(self) -> Any:
-        return self._environment.robot
 
 
 def policies_of(robot: str) -> list[Path]:
