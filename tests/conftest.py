@@ -65,7 +65,7 @@ def throws_are_searched_once() -> Iterator[None]:
 def commands_import_once() -> Iterator[None]:
     """Commands and worker processes fork from a server that has imported what each of them would import."""
     with pytest.MonkeyPatch.context() as patch:
-        fork_server.install(patch)
+        fork_server.install(patch.setattr)
         yield
     fork_server.SERVER.close()
 

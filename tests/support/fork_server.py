@@ -1,8 +1,9 @@
 """Starts commands of tests as forks of a server that has imported torch and karolos, within a tenth of a second.
 
 Such a process has arguments, an environment, a folder, files and an id of its own, and who starts it waits for it as
-for any child. What is not among `MODULES`, and everything on another system than Linux, starts as usual; so does
-everything in a test that uses the fixture `real_processes`.
+for any child. What it starts itself forks from a server of its own. What is not among `MODULES` or marked by `FORKS`,
+and everything on another system than Linux, starts as usual; so does everything in a test that uses the fixture
+`real_processes`.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from multiprocessing import util
 from pathlib import Path
 from threading import Lock
-from typing import TYPE_CHECKING, Any
-
-if TYPE_CHECKING:
-    from pytest import MonkeyPatch
+from typing import Any
 
 MODULES = ("bench", "karolos.launchers.process", "karolos_cli")
 """Commands: `python -m MODULE`."""
-CODE = ("from multiprocessing.spawn import", "from multiprocessing.forkserver import")
-"""Beginnings of what multiprocessing executes: `python -c CODE`."""
+FORKS = "# forks\n"
+"""First line of code of a test: `python -c CODE` or `python FILE`."""
+CODE = (FORKS, "from multiprocessing.spawn import", "from multiprocessing.forkserver import")
+"""Beginnings of code that forks: marked, or of multiprocessing."""
 AT_IMPORT = ("PYTHON", "OMP_NUM_THREADS", "KAROLOS_CACHE", "NUMBA_", "LD_")
 """Beginnings of the names of variables that count when Python and its libraries begin."""
 PR_SET_CHILD_SUBREAPER = 36
@@ -45,7 +46,7 @@ class ForkServer:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._connection: socket.socket | None = None
+        self.connection: socket.socket | None = None
         self.environment: dict[str, str] = {}
         """At the start of the session."""
         self.process: subprocess.Popen[bytes] | None = None
@@ -54,8 +55,11 @@ class ForkServer:
         """Whether it can start this command line."""
         executable, *rest = words
         rest = rest[1:] if rest[:1] == ["-P"] else rest
-        known = rest[:1] == ["-m"] and rest[1] in MODULES or rest[:1] == ["-c"] and rest[1].startswith(CODE)
-        return executable == sys.executable and known and at_import(environment) == at_import(self.environment)
+        if executable != sys.executable or not rest or at_import(environment) != at_import(self.environment):
+            return False
+        if rest[0].startswith("-"):
+            return rest[0] == "-m" and rest[1] in MODULES or rest[0] == "-c" and rest[1].startswith(CODE)
+        return Path(rest[0]).read_text(encoding="utf-8").startswith(FORKS)
 
     def start(self, words: Sequence[str], files: Mapping[int, int], **how: Any) -> int:
         """Start a command as a child of this process; its id.
@@ -66,7 +70,7 @@ class ForkServer:
             how: the rest of what `_become` reads.
         """
         with self._lock:
-            connection = self._connection = self._connection or self._connect()
+            connection = self.connection = self.connection or self._connect()
             message = {"words": words, "numbers": list(files), "cwd": os.getcwd()} | how
             adopt(True)  # the process that forks the command ends at once, and we are next
             try:
@@ -86,8 +90,8 @@ class ForkServer:
         return ours
 
     def close(self) -> None:
-        if self._connection is not None and self.process is not None:
-            self._connection.close()
+        if self.connection is not None and self.process is not None:
+            self.connection.close()
             self.process.wait()
 
 
@@ -103,11 +107,11 @@ def adopt(on: bool) -> None:
     ctypes.CDLL(None).prctl(PR_SET_CHILD_SUBREAPER, int(on), 0, 0, 0)
 
 
-def install(patch: MonkeyPatch) -> None:
-    """Let `subprocess` and `multiprocessing` start commands through the server."""
+def install(patch: Callable[[object, str, object], None]) -> None:
+    """Let `subprocess` and `multiprocessing` start commands through the server. `patch`: as `setattr`."""
     if sys.platform != "linux":
         return
-    SERVER.environment = dict(os.environ)
+    SERVER.environment = SERVER.environment or dict(os.environ)
     start, spawn = subprocess.Popen._execute_child, util.spawnv_passfds
     names = list(inspect.signature(start).parameters)
 
@@ -139,8 +143,8 @@ def install(patch: MonkeyPatch) -> None:
         files = {number: number for number in (0, 1, 2, *numbers)}
         return SERVER.start(texts, files, environment=dict(os.environ), session=False, group=-1)
 
-    patch.setattr(subprocess.Popen, "_execute_child", execute_child)
-    patch.setattr(util, "spawnv_passfds", spawnv_passfds)
+    patch(subprocess.Popen, "_execute_child", execute_child)
+    patch(util, "spawnv_passfds", spawnv_passfds)
 
 
 # In the server
@@ -176,37 +180,51 @@ def serve(number: int, path: list[str]) -> tuple[list[str], list[str]]:
         tell, told = os.pipe()
         between = os.fork()
         if between == 0:
-            if child := os.fork():
-                os.write(told, child.to_bytes(8, "little"))
+            if os.fork():
                 os._exit(0)
+            how = json.loads(message)
+            if how["session"]:
+                os.setsid()
+            elif how["group"] >= 0:
+                os.setpgid(0, how["group"])
+            os.write(told, os.getpid().to_bytes(8, "little"))
             os.close(go)
             os.read(wait, 1)  # until its parent is who asked for it
-            return _become(json.loads(message), files, base)
-        os.waitpid(between, 0)
-        connection.send(os.read(tell, 8))
+            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            if os.fork():
+                return _become(how, files, base, ours)
+            ours.close()
+            connection.close()
+            connection = theirs  # of the server for what this command starts
+        else:
+            os.waitpid(between, 0)
+            connection.send(os.read(tell, 8))
         for file in (*files, wait, go, tell, told):
-            os.close(file)
+            with suppress(OSError):
+                os.close(file)
 
 
-def _become(message: dict[str, Any], files: list[int], base: list[str]) -> tuple[list[str], list[str]]:
+def _become(
+    message: dict[str, Any], files: list[int], base: list[str], server: socket.socket
+) -> tuple[list[str], list[str]]:
     """Make this process what a command line would start.
 
     Args:
-        message: the command's words, environment and folder; whether it begins a session, or the process group that
-            it joins; and the numbers of its files.
+        message: the command's words, environment and folder, and the numbers of its files.
         files: received file descriptors.
         base: folders of Python's path that no variable names.
+        server: connection to a server of its own.
     """
     above = max(64, *message["numbers"]) + 1
     received = [fcntl.fcntl(file, fcntl.F_DUPFD, above) for file in files]
+    kept = fcntl.fcntl(server.detach(), fcntl.F_DUPFD_CLOEXEC, above)
     os.closerange(3, above)
     for file, number in zip(received, message["numbers"], strict=True):
         os.dup2(file, number)
-    os.closerange(above, max(received) + 1)
-    if message["session"]:
-        os.setsid()
-    elif message["group"] >= 0:
-        os.setpgid(0, message["group"])
+    for file in received:
+        os.close(file)
+    SERVER.connection, SERVER.environment = socket.socket(fileno=kept), dict(os.environ)
+    install(setattr)
     signal.signal(signal.SIGINT, signal.default_int_handler)
     os.chdir(message["cwd"])
     os.environ.clear()
@@ -214,14 +232,19 @@ def _become(message: dict[str, Any], files: list[int], base: list[str]) -> tuple
     random.seed()
     importlib.invalidate_caches()
     words = message["words"]
-    first = {"-P": [], "-m": [message["cwd"]], "-c": [""]}[words[1]]
+    first = {"-P": [], "-m": [message["cwd"]], "-c": [""]}.get(words[1], [str(Path(words[1]).parent)])
     return words, [*first, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *base]
 
 
 def execute(words: list[str], path: list[str]) -> None:
     """Do what `python` does with these words. The process ends with this call."""
     sys.path[:] = path
-    option, what, *arguments = words[2:] if words[1] == "-P" else words[1:]
+    option, *arguments = words[2:] if words[1] == "-P" else words[1:]
+    if not option.startswith("-"):
+        sys.argv[:] = [option, *arguments]
+        runpy.run_path(option, run_name="__main__")
+        return
+    what, *arguments = arguments
     sys.argv[:] = [option, *arguments]
     if option == "-m":
         sys.modules.pop(what, None)
