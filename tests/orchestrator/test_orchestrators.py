@@ -338,7 +338,7 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
         Ray(Ray.Settings(), partial(Fake, ""))
 
 
-def test_a_worker_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again() -> None:
+def test_a_worker_on_ray_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again() -> None:
     with make_on_ray(time_limit=8.0) as orchestrator:
         pids = reset(orchestrator)
         step(orchestrator, FINE, RAISE, FINE, DIE)
@@ -363,7 +363,7 @@ def test_a_worker_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_
         assert orchestrator.parameters([3])[:, 0].tolist() == [3]
 
 
-def test_an_environment_that_cannot_be_built_is_an_error_that_names_it() -> None:
+def test_an_environment_on_ray_that_cannot_be_built_is_an_error_that_names_it() -> None:
     with pytest.raises(PluginError, match="the mesh is missing"):
         make_on_ray("complain")
 

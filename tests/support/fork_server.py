@@ -28,7 +28,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-MODULES = ("bench", "karolos.launchers.process", "karolos_cli")
+MODULES = ("karolos.launchers.process", "karolos_cli")
 """Commands: `python -m MODULE`."""
 FORKS = "# forks\n"
 """First line of code of a test: `python -c CODE` or `python FILE`."""
@@ -58,7 +58,7 @@ class ForkServer:
         if executable != sys.executable or not rest or at_import(environment) != at_import(self.environment):
             return False
         if rest[0].startswith("-"):
-            return rest[0] == "-m" and rest[1] in MODULES or rest[0] == "-c" and rest[1].startswith(CODE)
+            return rest[1] in MODULES if rest[0] == "-m" else rest[0] == "-c" and rest[1].startswith(CODE)
         return Path(rest[0]).read_text(encoding="utf-8").startswith(FORKS)
 
     def start(self, words: Sequence[str], files: Mapping[int, int], **how: Any) -> int:
@@ -157,14 +157,8 @@ def serve(number: int, path: list[str]) -> tuple[list[str], list[str]]:
         number: file descriptor of the connection.
         path: Python's path at the start.
     """
-    import karolos.launchers.process
-    import karolos.plans.matrix
-    import karolos.plans.suite
-    import karolos.plans.sweep
-    import karolos_cli.main  # noqa: F401
-    import support.preloaded  # noqa: F401
-    import torch  # noqa: F401
-
+    for name in ("torch", "karolos_cli.main", *MODULES, "karolos.plans.sweep", "support.preloaded"):
+        importlib.import_module(name)
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     base = [folder for folder in path if folder not in named]
     gc.freeze()
