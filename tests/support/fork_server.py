@@ -158,7 +158,8 @@ def serve(number: int, path: list[str]) -> tuple[list[str], list[str]]:
         path: Python's path at the start.
     """
     for name in ("torch", "karolos_cli.main", *MODULES, "karolos.plans.sweep", "support.preloaded"):
-        importlib.import_module(name)
+        with suppress(ImportError):  # a later Python has no torch here
+            importlib.import_module(name)
     named = os.environ.get("PYTHONPATH", "").split(os.pathsep)
     base = [folder for folder in path if folder not in named]
     gc.freeze()
