@@ -1,6 +1,7 @@
 """Each benchmark at toy size: its rows, and what it refuses."""
 
 import json
+import multiprocessing
 import subprocess
 import sys
 from pathlib import Path
@@ -92,6 +93,15 @@ def test_resets_steps_and_waiting_environments_are_measured(capfd: pytest.Captur
         assert any(word in row["case"] for row in rows), word
 
 
+@pytest.fixture
+def forked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes fork from the server of workers, which has imported what they need."""
+    server = multiprocessing.get_context("forkserver")
+    server.set_forkserver_preload([])
+    monkeypatch.setattr(multiprocessing, "get_context", lambda _: server)
+
+
+@pytest.mark.usefixtures("forked")
 def test_the_store_is_rebuilt_asked_and_written_to(
     capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -124,6 +134,7 @@ def successes(environment: RobotTask, *, expert: bool) -> list[list[bool]]:
     return episodes
 
 
+@pytest.mark.usefixtures("forked")
 def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_processes() -> None:
     row = next(experts.measure(pair=["panda/push", "ur5/reach"], episodes=EPISODES, steps=50, jobs=2)).dump()
     environment = pair("panda", "push")
@@ -139,6 +150,7 @@ def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_proce
     assert row["episodes"] == EPISODES
 
 
+@pytest.mark.usefixtures("forked")
 def test_every_pair_that_goes_together_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experts, "names", {"robots": ["iiwa", "panda"], "tasks": ["insert", "open"]}.get)
     cases = [row.case for row in experts.measure(episodes=1, jobs=1)]
