@@ -75,9 +75,11 @@ class ForkServer:
             adopt(True)  # the process that forks the command ends at once, and we are next
             try:
                 socket.send_fds(connection, [json.dumps(message).encode()], list(files.values()))
-                return int.from_bytes(connection.recv(8), "little")
+                answer = connection.recv(8)
             finally:
                 adopt(False)
+        assert answer, "the server has ended"
+        return int.from_bytes(answer, "little")
 
     def _connect(self) -> socket.socket:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -99,6 +101,7 @@ SERVER = ForkServer()
 
 
 def at_import(environment: Mapping[str, str]) -> dict[str, str]:
+    """The variables that a forked process cannot change."""
     return {name: value for name, value in environment.items() if name.startswith(AT_IMPORT) and name != "PYTHONPATH"}
 
 
@@ -194,9 +197,9 @@ def serve(number: int, path: list[str]) -> tuple[list[str], list[str]]:
         else:
             os.waitpid(between, 0)
             connection.send(os.read(tell, 8))
-        for file in (*files, wait, go, tell, told):
-            with suppress(OSError):
-                os.close(file)
+            os.close(go)
+        for file in (*files, wait, tell, told):
+            os.close(file)
 
 
 def _become(
