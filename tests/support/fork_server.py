@@ -9,7 +9,6 @@ and everything on another system than Linux, starts as usual; so does everything
 from __future__ import annotations
 
 import ctypes
-import fcntl
 import gc
 import importlib
 import inspect
@@ -213,6 +212,8 @@ def _become(
         base: folders of Python's path that no variable names.
         server: connection to a server of its own.
     """
+    import fcntl
+
     above = max(64, *message["numbers"]) + 1
     received = [fcntl.fcntl(file, fcntl.F_DUPFD, above) for file in files]
     kept = fcntl.fcntl(server.detach(), fcntl.F_DUPFD_CLOEXEC, above)
