@@ -50,15 +50,16 @@ class ForkServer:
         """At the start of the session."""
         self.process: subprocess.Popen[bytes] | None = None
 
-    def starts(self, words: Sequence[str], environment: Mapping[str, str]) -> bool:
-        """Whether it can start this command line."""
+    def starts(self, words: Sequence[str], environment: Mapping[str, str], cwd: str = ".") -> bool:
+        """Whether it can start this command line in a folder."""
         executable, *rest = words
         rest = rest[1:] if rest[:1] == ["-P"] else rest
         if executable != sys.executable or not rest or at_import(environment) != at_import(self.environment):
             return False
         if rest[0].startswith("-"):
             return rest[1] in MODULES if rest[0] == "-m" else rest[0] == "-c" and rest[1].startswith(CODE)
-        return Path(rest[0]).read_text(encoding="utf-8").startswith(FORKS)
+        script = Path(cwd, rest[0])
+        return script.is_file() and script.read_bytes().startswith(FORKS.encode())
 
     def start(self, words: Sequence[str], files: Mapping[int, int], **how: Any) -> int:
         """Start a command as a child of this process; its id.
@@ -121,8 +122,10 @@ def install(patch: Callable[[object, str, object], None]) -> None:
         one = dict(zip(names, (popen, *given), strict=True))
         unusual = any(one[name] for name in ("shell", "preexec_fn", "executable")) or one["umask"] != -1
         words = [one["args"]] if isinstance(one["args"], str | bytes) else [os.fsdecode(word) for word in one["args"]]
-        environment = dict(os.environ if one["env"] is None else one["env"])
-        if unusual or not SERVER.starts(words, environment):
+        variables = os.environ if one["env"] is None else one["env"]
+        environment = {os.fsdecode(name): os.fsdecode(value) for name, value in variables.items()}
+        cwd = os.path.abspath(one["cwd"] or ".")
+        if unusual or not SERVER.starts(words, environment, cwd):
             start(popen, *given)
             return
         pipes = {0: one["p2cread"], 1: one["c2pwrite"], 2: one["errwrite"]}
@@ -133,7 +136,7 @@ def install(patch: Callable[[object, str, object], None]) -> None:
             environment=environment,
             session=one["start_new_session"],
             group=one["process_group"],
-            cwd=os.path.abspath(one["cwd"] or os.getcwd()),
+            cwd=cwd,
         )
         popen._child_created = True
         popen._close_pipe_fds(*(one[f"{pipe}{end}"] for pipe in ("p2c", "c2p", "err") for end in ("read", "write")))
@@ -231,7 +234,7 @@ def _become(
     random.seed()
     importlib.invalidate_caches()
     words = message["words"]
-    first = {"-P": [], "-m": [message["cwd"]], "-c": [""]}.get(words[1], [str(Path(words[1]).parent)])
+    first = {"-P": [], "-m": [message["cwd"]], "-c": [""]}.get(words[1], [str(Path(message["cwd"], words[1]).parent)])
     return words, [*first, *filter(None, os.environ.get("PYTHONPATH", "").split(os.pathsep)), *base]
 
 
