@@ -3,7 +3,7 @@
 Such a process has arguments, an environment, a folder, files and an id of its own, and who starts it waits for it as
 for any child. What it starts itself forks from a server of its own. What is not among `MODULES` or marked by `FORKS`,
 and everything on another system than Linux, starts as usual; so does everything in a test that uses the fixture
-`real_processes`.
+`real_processes`, and with `REAL_PROCESSES=1 pytest`.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ def adopt(on: bool) -> None:
 
 def install(patch: Callable[[object, str, object], None]) -> None:
     """Let `subprocess` and `multiprocessing` start commands through the server. `patch`: as `setattr`."""
-    if sys.platform != "linux":
+    if sys.platform != "linux" or "REAL_PROCESSES" in os.environ:
         return
     SERVER.environment = SERVER.environment or dict(os.environ)
     start, spawn = subprocess.Popen._execute_child, util.spawnv_passfds
