@@ -4,11 +4,11 @@ import os
 import signal
 from collections.abc import Callable, Iterator
 from functools import cache
-from multiprocessing import forkserver
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
+from support import fork_server
 from support.closing import close_all
 from support.fake_plugins import FAKES
 
@@ -62,19 +62,18 @@ def throws_are_searched_once() -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def workers_import_once() -> Iterator[None]:
-    """Worker processes fork from a server that has imported MuJoCo and read its kernels: each would do it again."""
-    start, preload = forkserver.ForkServer.ensure_running, forkserver.set_forkserver_preload
-
-    def with_path(server: forkserver.ForkServer) -> None:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("PYTHONPATH", str(Path(__file__).parent), prepend=os.pathsep)
-            start(server)
-
+def commands_import_once() -> Iterator[None]:
+    """Commands and worker processes fork from a server that has imported what each of them would import."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(forkserver.ForkServer, "ensure_running", with_path)
-        patch.setattr(forkserver, "set_forkserver_preload", lambda modules: preload([*modules, "support.preloaded"]))
+        fork_server.install(patch.setattr)
         yield
+    fork_server.SERVER.close()
+
+
+@pytest.fixture
+def real_processes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Commands of this test start as a shell starts them."""
+    monkeypatch.setattr(fork_server.ForkServer, "starts", lambda *_: False)
 
 
 @pytest.fixture(autouse=True)

@@ -49,6 +49,7 @@ def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.Ca
     assert {row["unit"] for row in rows} == {"updates/s"}
 
 
+@pytest.mark.usefixtures("real_processes")
 def test_what_libraries_print_does_not_reach_standard_output() -> None:
     command = [sys.executable, "-m", "bench", "environment", "--control", "joint", "--seconds", "0.1"]
     command += ["--engine", installed_one("bullet")]  # PyBullet prints when it is imported

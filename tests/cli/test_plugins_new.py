@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from karolos_cli.plugins import app
 from support.commands import call
+from support.fork_server import FORKS
 from support.plugin_packages import STARTERS, install, python
 
 from karolos.registry import PluginEntry
@@ -42,7 +43,7 @@ def test_starters_pass_their_tests_as_written_and_the_command_line_finds_them(pa
     tested = [kind for kind in packages if kind not in ("robot", "agent")]
     commands = ["check", "mine.yaml"], ["plugins", "check", "environment", STARTERS["environment"]]
     folders = ["-p", "no:cacheprovider", "-v", *(str(packages[kind] / "tests") for kind in tested)]
-    script = f"""
+    script = f"""{FORKS}
 import pytest
 from karolos_cli.main import app
 assert pytest.main({folders}) == 0

@@ -89,6 +89,7 @@ def test_a_runs_folder_that_cannot_be_made_is_told(home):
     assert "taken" in err
 
 
+@pytest.mark.usefixtures("real_processes")
 def test_ctrl_c_leaves_a_stopped_run_with_a_checkpoint_and_130(home):
     command = [*KAROLOS, "run", "toy.yaml", "training.steps=10000000", "testing.interval=400", "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:

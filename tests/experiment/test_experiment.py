@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from support.fork_server import FORKS
 from support.states import assert_same_state
 from support.toy_runs import toy
 
@@ -150,7 +151,7 @@ print("EXIT", outcome.exit_code, [(run.seed, run.state) for run in outcome.runs]
 def test_a_script_without_a_guard_runs_seeds_side_by_side_as_one_after_the_other(finished, tmp_path):
     _, outcome, _ = finished
     script, runs = tmp_path / "script.py", tmp_path / "runs"
-    script.write_text(SIDE_BY_SIDE.format(spec=spec(seeds=[3, 1]), runs=str(runs)))
+    script.write_text(FORKS + SIDE_BY_SIDE.format(spec=spec(seeds=[3, 1]), runs=str(runs)))
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
     *events, end = done.stdout.splitlines()
     assert end == "EXIT 0 [(3, 'finished'), (1, 'finished')]", done.stderr

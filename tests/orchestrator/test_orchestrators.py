@@ -42,17 +42,32 @@ ON_RAY = toy_runs.TOY | {"orchestrator": {"name": "ray", "workers": 2, "environm
 in_process_and_not = pytest.mark.parametrize("layout", [IN_PROCESS, TWO], ids=["0", "2"])
 
 
+@pytest.fixture(scope="module")
+def on_ray() -> Iterator[list[Ray]]:
+    """Toys in actors, which start slowly: one test leaves them to the next, unless it has closed or broken them."""
+    kept: list[Ray] = []
+    yield kept
+    for made in kept:
+        made.close()
+
+
 @pytest.fixture(params=[*LAYOUTS, "ray"])
-def orchestrator(request: pytest.FixtureRequest) -> Iterator[Any]:
+def orchestrator(request: pytest.FixtureRequest, on_ray: list[Ray]) -> Iterator[Any]:
     """Toys."""
-    if request.param == "ray":
-        pytest.importorskip("ray")
-        settings = Ray.Settings(workers=2, environments=SIZE // 2, failures=0, address="local")
-        with Ray(settings, partial(Toy, TOY)) as made:
+    if request.param != "ray":
+        with make(LAYOUTS[request.param], TOY, Toy) as made:
             yield made
         return
-    with make(LAYOUTS[request.param], TOY, Toy) as made:
-        yield made
+    pytest.importorskip("ray")
+    if not on_ray:
+        settings = Ray.Settings(workers=2, environments=SIZE // 2, failures=0, address="local")
+        on_ray.append(Ray(settings, partial(Toy, TOY)))
+    yield on_ray[0]
+    try:
+        on_ray[0].reset(range(SIZE), range(SIZE))
+        on_ray[0].receive()
+    except (ValueError, WorkerError):
+        on_ray.pop().close()
 
 
 def assert_equal(received: Step, expected: list[Step]) -> None:
@@ -323,7 +338,7 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
         Ray(Ray.Settings(), partial(Fake, ""))
 
 
-def test_a_worker_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again() -> None:
+def test_a_worker_on_ray_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again() -> None:
     with make_on_ray(time_limit=8.0) as orchestrator:
         pids = reset(orchestrator)
         step(orchestrator, FINE, RAISE, FINE, DIE)
@@ -348,7 +363,7 @@ def test_a_worker_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_
         assert orchestrator.parameters([3])[:, 0].tolist() == [3]
 
 
-def test_an_environment_that_cannot_be_built_is_an_error_that_names_it() -> None:
+def test_an_environment_on_ray_that_cannot_be_built_is_an_error_that_names_it() -> None:
     with pytest.raises(PluginError, match="the mesh is missing"):
         make_on_ray("complain")
 

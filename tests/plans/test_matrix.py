@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.fake_launcher import FakeLauncher
+from support.fork_server import FORKS
 from support.processes import killed_when
 from support.transfer_samples import LINE, line, run_matrix
 
@@ -90,7 +91,7 @@ def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_tra
 def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(
     undisturbed: Matrix, tmp_path: Path
 ) -> None:
-    code = "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
+    code = FORKS + "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
     killed_when(
         lambda: list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")),
         [sys.executable, "-c", code],

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 from support.fake_launcher import FakeLauncher
+from support.fork_server import FORKS
 from support.processes import child_processes, killed_when
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
@@ -40,7 +41,7 @@ SPEC = sweep_spec(
     objective="mean_success_end",
     final={"top": 2, "seeds": 1, "report_seeds": 1},
 ) | {"seeds": [2]}
-BEGIN = "import json, sys; from karolos.plans.sweep import Search\nif __name__ == '__main__':\n    "
+BEGIN = FORKS + "import json, sys; from karolos.plans.sweep import Search\nif __name__ == '__main__':\n    "
 BEGIN += "Search(json.loads(sys.argv[1])).run('runs')"
 
 

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from sqlalchemy import create_engine, make_url, select, update
 from support.databases import KINDS, empty_database
+from support.fork_server import FORKS
 from support.run_samples import bare, indexed_run, new_run, result, stored
 
 from karolos.errors import MachineError, NoSuchRunError, StoreError, UsageError
@@ -214,7 +215,7 @@ def test_ten_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path
         with RunFolder.create(tmp_path, "x", 99) as shared:
             shared.describe({"name": "x"}, experiment="same", source=tmp_path)
         shared.path.rename(tmp_path / "shared")
-        subprocess.run([sys.executable, "-c", MANY, str(tmp_path), url], check=True, timeout=60)
+        subprocess.run([sys.executable, "-c", FORKS + MANY, str(tmp_path), url], check=True, timeout=60)
         with Store(url) as store:
             (labelled,) = store.runs(ids=[shared.id])
             assert set(labelled.tags) == {f"tag{index}" for index in range(10)}

@@ -11,18 +11,20 @@ from pathlib import Path
 from time import monotonic, sleep
 from typing import Any, TypeVar
 
+from support.fork_server import SERVER
+
 Found = TypeVar("Found")
 
 
 def child_processes() -> list[int]:
-    """The ids of this process's children."""
-    found = []
+    """The ids of this process's children, without the server of tests/support/fork_server.py."""
+    found, server = [], SERVER.process
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended meanwhile
             parent = int(path.read_text().rpartition(")")[2].split()[1])
             if parent == os.getpid():
                 found.append(int(path.parent.name))
-    return found
+    return [child for child in found if server is None or child != server.pid]
 
 
 def kill_worker(number: int) -> None:

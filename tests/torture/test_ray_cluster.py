@@ -18,6 +18,7 @@ from support.toy_runs import toy
 from karolos.records import RunFolder, checkpoint
 from karolos.store import Store, check
 
+pytestmark = pytest.mark.usefixtures("real_processes")  # Ray's libraries do not survive a fork
 Cluster = pytest.importorskip("ray.cluster_utils").Cluster
 CPUS = 2
 """Of each machine, and so its number of runs at the same time."""
