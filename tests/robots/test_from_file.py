@@ -223,7 +223,7 @@ def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
     assert spec.robot is not None
     assert spec.robot.settings.model_dump()["file"] == str(tmp_path / "share/arms/urdf/one.urdf")
     spec = spec_in(tmp_path, '{name: urdf, file: "installed:no-such-arms/one.urdf"}')
-    with pytest.raises(UsageError, match="there is no file installed:no-such-arms.*; pip install no-such-arms"):
+    with pytest.raises(UsageError, match=r"there is no file installed:no-such-arms.*; pip install no-such-arms"):
         load("robots", "urdf")(spec.robot.settings)  # type: ignore[union-attr]
 
 
