@@ -243,7 +243,7 @@ def test_a_target_that_cannot_be_used_is_named_and_the_others_go_on(tmp_path: Pa
     matrix.check()
     assert matrix.pairs == [("ur5", "iiwa")]
     assert matrix.refused == {
-        "other": "there is no such file; name a URDF or an MJCF file; in a spec relative to it, "
+        "other": f"there is no file {tmp_path / 'none.urdf'}; name a URDF or an MJCF file; in a spec relative to it, "
         "in an override to the current folder"
     }
 
@@ -252,5 +252,5 @@ def test_a_matrix_without_a_usable_target_says_why() -> None:
     matrix = arms("installed:nothing/none.urdf")
     matrix.variants.pop("iiwa")
     matrix.pairs = [("ur5", "other")]
-    with pytest.raises(UsageError, match=r"no target can be used: there is no such file; pip install nothing"):
+    with pytest.raises(UsageError, match=r"no target can be used: there is no file installed:nothing.*; pip install nothing"):
         matrix.check()

@@ -57,7 +57,7 @@ def test_a_torque_at_its_limit_stops_only_if_it_lasts() -> None:
 def test_a_motor_that_friction_leaves_less_torque_stops_at_that(engine: str) -> None:
     environment = low(engine, {"robot.joint_friction": values(0.3)}, force=None, seconds=0.1)
     assert pressed_on_the_floor(environment).truncated
-    assert environment.stops == 1
+    assert environment.robot.stops == 1
 
 
 @pytest.mark.parametrize("engine", ENGINES)
@@ -67,23 +67,23 @@ def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engin
     assert step.truncated
     assert not step.terminated
     assert not step.success
-    assert environment.stops == 1
+    assert environment.robot.stops == 1
     with pytest.raises(RuntimeError, match="over"):
         environment.step(np.zeros(3, np.float32))
     environment.reset(1)
-    assert environment.stops == 0
+    assert environment.robot.stops == 0
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 def test_a_stop_may_only_be_counted(engine: str) -> None:
     environment = low(engine, ends=False)
     assert not pressed_on_the_floor(environment).truncated
-    assert environment.stops >= 1
+    assert environment.robot.stops >= 1
 
 
 def test_a_stop_that_is_off_notices_nothing_and_tasks_choose_the_default() -> None:
     environment = low(ENGINES[0])
     assert not pressed_on_the_floor(environment).truncated
-    assert environment.stops == 0
+    assert environment.robot.stops == 0
     for task, on in (("reach", False), ("push", False), ("pick_place", False), ("throw", True)):
         assert made(task).task.protective_stop == on
