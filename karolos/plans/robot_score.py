@@ -23,6 +23,7 @@ from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
 from ..files import write_whole, writing
+from ..orchestrator.worker import isolate
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
@@ -201,7 +202,7 @@ def score_robot(
         runs: as for `score_policy`.
     """
     context = multiprocessing.get_context("spawn")  # a fork would share threads of torch
-    with ProcessPoolExecutor(min(cores(), len(policies)), mp_context=context) as pool:
+    with ProcessPoolExecutor(min(cores(), len(policies)), context, initializer=isolate) as pool:
         tasks = [
             pool.submit(score_policy, run, overrides, episodes, films and films / f"{run.name}.mp4", runs)
             for run in policies
