@@ -25,17 +25,6 @@ Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 """A number that databases can store."""
 WITHIN = (0.05, 0.1, 0.25)
 """Distances in m. Reports show the fraction of test episodes that ended nearer to their goal."""
-COUNTS = (
-    "steps",
-    "seconds",
-    "episodes",
-    "successes_any",
-    "successes_end",
-    "solved_at_reset",
-    "mean_return",
-    "measures",
-)
-"""Fields that the index stores."""
 LISTS = ("any", "end", "reset", "returns", "lengths", "distances")
 """Fields that hold one entry per episode."""
 
@@ -55,6 +44,23 @@ class Measured(Mean):
 
     values: NotRequired[tuple[FiniteFloat | None, ...]]
     """Value of each episode, None where it is undefined; missing in the index."""
+
+
+class _Numbers(TypedDict):
+    """The numbers of an evaluation, without its episodes."""
+
+    steps: Count
+    seconds: FiniteFloat
+    episodes: Count
+    successes_any: Count | None
+    successes_end: Count | None
+    solved_at_reset: Count | None
+    mean_return: FiniteFloat | None
+    measures: NotRequired[dict[str, Mean]]
+
+
+COUNTS = tuple(_Numbers.__annotations__)
+"""Fields that the index stores."""
 
 
 @final
@@ -246,19 +252,6 @@ class Evaluation:
             row[name] = [value if math.isfinite(value) else str(value) for value in map(float, row[name] or ())]
         row |= {"randomized": self.randomized or None, "own": self.own and self.own.counts.encode()}
         return {name: value for name, value in row.items() if name in COUNTS or value not in (None, [], (), {})}
-
-
-class _Numbers(TypedDict):
-    """The fields COUNTS."""
-
-    steps: Count
-    seconds: FiniteFloat
-    episodes: Count
-    successes_any: Count | None
-    successes_end: Count | None
-    solved_at_reset: Count | None
-    mean_return: FiniteFloat | None
-    measures: NotRequired[dict[str, Mean]]
 
 
 def _finite_mean(values: Sequence[float]) -> float | None:

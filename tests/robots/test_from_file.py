@@ -233,7 +233,6 @@ def test_hulls_are_apart_by_their_true_distance_in_any_direction(gap: float, apa
     for turn in np.random.Generator(np.random.PCG64(0)).uniform(-3, 3, size=(20, 3)):
         rotation = urdf.rotation_matrix(*turn)
         turned = corners @ rotation.T
-        above = (
-            turned - turned[turned[:, 2].argmin()] + np.array([0.01, 0.02, 0.05 + gap])
-        )  # its lowest corner is there
+        # its lowest corner is there
+        above = turned - turned[turned[:, 2].argmin()] + np.array([0.01, 0.02, 0.05 + gap])
         assert _apart(corners, above) == apart
