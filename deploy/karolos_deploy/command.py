@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import signal
 import sys
 from collections.abc import Sequence
 from pathlib import Path
@@ -37,6 +38,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--onnx", action="store_true", help="let onnxruntime run the policy instead of numpy")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of lines")
     given = parser.parse_args(arguments)
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the robot is stopped
     try:
         return _run(given)
     except BundleError as error:
@@ -48,6 +50,8 @@ def main(arguments: list[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("stopped: you asked for it", file=sys.stderr)
         return STOPPED
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _run(given: argparse.Namespace) -> int:
@@ -84,17 +88,16 @@ def _run(given: argparse.Namespace) -> int:
                 print(f"episode {episode}: {ended}, {outcome.steps} steps, cycle p99 {1000 * outcome.slowest:.2f} ms")
     finally:
         driver.close()
-        if given.json and outcomes:  # also of the episodes before a fault
-            print(json.dumps(_told(outcomes, rate)))
-    known = [outcome.success for outcome in outcomes if outcome.success is not None]
-    if known and not given.json:
-        print(f"success {sum(known)} of {len(known)}")
+        known = [outcome.success for outcome in outcomes if outcome.success is not None]  # also before a fault
+        if given.json and outcomes:
+            print(json.dumps(_told(outcomes, known, rate)))
+        elif known:
+            print(f"success {sum(known)} of {len(known)}")
     return 0
 
 
-def _told(outcomes: Sequence[Outcome], rate: float) -> dict[str, Any]:
+def _told(outcomes: Sequence[Outcome], known: Sequence[bool], rate: float) -> dict[str, Any]:
     """Episodes, successes where the bundle can tell, and seconds that cycles took."""
-    known = [outcome.success for outcome in outcomes if outcome.success is not None]
     spent = np.concatenate([outcome.cycles for outcome in outcomes])
     slow = {
         "p50": float(np.quantile(spent, 0.5)),

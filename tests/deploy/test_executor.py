@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import signal
 import socket
 import threading
 from pathlib import Path
@@ -39,6 +40,27 @@ def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards
         assert made[0].stops == 1
     else:
         assert not hasattr(made[0], "sent")
+
+
+def test_a_signal_stops_the_robot_with_one_line(
+    whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Signalled(Obedient):
+        def send(self, point: Any) -> None:
+            super().send(point)
+            if len(self.sent) == BROKEN:
+                signal.raise_signal(signal.SIGTERM)
+
+    made: list[Obedient] = []
+
+    def make(*given: Any) -> Obedient:
+        made.append(Signalled(*given))
+        return made[0]
+
+    monkeypatch.setattr(command, "find", lambda _: make)
+    assert command.main([str(whole), "--move", "--rate", "125"]) == command.STOPPED
+    assert capsys.readouterr().err == "stopped: you asked for it\n"
+    assert (len(made[0].sent), made[0].stops) == (BROKEN, 1)
 
 
 @pytest.mark.parametrize(
