@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +16,7 @@ from .output import print_rows, say, warn
 
 if TYPE_CHECKING:
     from karolos.recordings.playing import Recorder
-    from karolos.recordings.recording import RecordingFolder
+    from karolos.recordings.recording import Played, RecordingFolder
     from karolos.specification import Spec
     from karolos.specification.parts import Recipe
 
@@ -59,7 +60,7 @@ def dataset(
     from karolos.evaluation.changed_spec import changed_spec, engine_note
     from karolos.evaluation.policies import load_agent
     from karolos.files import write_whole
-    from karolos.recordings.card import card, outcome
+    from karolos.recordings.card import card
     from karolos.recordings.recording import RecordingFolder
 
     chosen = {
@@ -115,7 +116,7 @@ def dataset(
             hidden=environments.signature.action.size if expert else 0,
         )
         played = _run(recorder, episodes)
-    done = {**about, "outcome": outcome(played)}
+    done = {**about, "outcome": _outcome(played)}
     _write(format, out, done, recording, films)
     write_whole(out / "README.md", card(done))
     if format == "karolos":
@@ -158,6 +159,29 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
             "commit": code[0]["commit"] + (" and uncommitted changes" if code[0]["dirty"] else "") if code else None,
         },
     )
+
+
+def _outcome(played: Sequence[Played]) -> dict[str, Any]:
+    """Number of episodes that were played, kept and successful."""
+    from math import isfinite
+    from statistics import fmean
+
+    from karolos.records.intervals import wilson
+
+    successes = sum(one.success for one in played)
+    low, high = wilson(successes, len(played))
+    means = {}
+    for name in sorted({name for one in played for name in one.measures}):
+        means[name] = fmean(one.measures[name] for one in played if name in one.measures)
+    return {
+        "played": len(played),
+        "successes": successes,
+        "success_interval": [low, high],
+        "kept": sum(one.kept for one in played),
+        "failed_and_left_out": sum(not (one.kept or one.diverged) for one in played),
+        "diverged_and_left_out": sum(one.diverged for one in played),
+        "measures": {name: mean for name, mean in means.items() if isfinite(mean)},
+    }
 
 
 def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:

@@ -16,8 +16,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from ..comparison import aggregates
 from ..comparison.contenders import Contender
 from ..comparison.curves import places
+from ..comparison.reaching import first_reaching
 from ..comparison.scores import Comparison, Estimate, Reaching, compare, estimate, reaching
 from ..core.seeding import SeedTree
 from ..environments.build import used
@@ -32,8 +34,7 @@ from ..report.figures import HEIGHT, WIDTH, Drawing, file_name, look, short
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, interval_notes, reached, success
 from ..simulation.interface import Camera
-from ..statistics import aggregates, transfer
-from ..statistics.reaching import first_reaching
+from . import transfer
 from .matrix import Matrix, Pair
 
 
