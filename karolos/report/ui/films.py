@@ -1,6 +1,6 @@
 """Films of a run's policy, made on request, one at a time, in a separate process.
 
-python -m karolos.ui.films RUN_FOLDER FILE [failures]   what that process does
+python -m karolos.report.ui.films RUN_FOLDER FILE [failures]   what that process does
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import sys
 import threading
 from pathlib import Path
 
-from ..environments.build import used
-from ..errors import KarolosError, UsageError
-from ..evaluation.changed_spec import load_player
-from ..evaluation.playing import play, play_failures
-from ..experiment.tensorboard_writer import add_film
-from ..records import RunFolder
-from ..records.checkpoint import names, read_meta
-from ..report.video import write_film
+from ...environments.build import used
+from ...errors import KarolosError, UsageError
+from ...evaluation.changed_spec import load_player
+from ...evaluation.playing import play, play_failures
+from ...experiment.tensorboard_writer import add_film
+from ...records import RunFolder
+from ...records.checkpoint import names, read_meta
+from ..video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
 """Kind of film -> its file in the run folder."""
@@ -41,7 +41,7 @@ class Films:
                 raise UsageError("another film is being made", hint="wait until it is ready")
             self._path = folder.path / FILES[kind]
             self._problems.pop(self._path, None)
-            command = [sys.executable, "-m", "karolos.ui.films", str(folder.path), str(self._path), kind]
+            command = [sys.executable, "-m", "karolos.report.ui.films", str(folder.path), str(self._path), kind]
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
