@@ -15,7 +15,6 @@ from ..errors import UsageError, closest
 from ..records import RunFolder
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import FILES, RANDOMIZATION
-from ..training.assembly import located
 from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
@@ -81,7 +80,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         )
     if not randomize:
         spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
-    with located(spec), used(environment_of(spec, randomize=True)) as environment:
+    with spec.located(), used(environment_of(spec, randomize=True)) as environment:
         if differences := layout_differences(environment.signature, trained):
             changed = [_key(text) for text in overrides if _key(text).startswith(("robot", "task", "environment"))]
             raise UsageError(

@@ -19,10 +19,10 @@ from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import MachineError, UsageError
 from karolos.evaluation.testing import test_seeds as episode_seeds
+from karolos.experiment.check import check_parts
 from karolos.plugins.inspection import pair
 from karolos.simulation.engines import installed_one
 from karolos.specification import load_spec
-from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ["benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max"]
