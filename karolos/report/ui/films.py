@@ -10,10 +10,8 @@ import sys
 import threading
 from pathlib import Path
 
-from ...environments.build import used
 from ...errors import KarolosError, UsageError
-from ...evaluation.changed_spec import load_player
-from ...evaluation.playing import play, play_failures
+from ...evaluation.playing import load_player, play, play_failures
 from ...experiment.tensorboard_writer import add_film
 from ...records import RunFolder
 from ...records.checkpoint import names, read_meta
@@ -78,11 +76,10 @@ def make(folder: RunFolder, path: Path, kind: str) -> None:
     Raises as `load_player`, `write_video` and `add_film`.
     """
     name = "best" if kind == "episodes" and "best" in names(folder.checkpoints) else "last"
-    player = load_player(folder, name)
-    seed, chosen = player.spec.testing.seed, play_failures if kind == "failures" else play
-    with used(player.environment) as environment:
-        moments = chosen(environment, player.policy, episodes=EPISODES, seed=seed)
-        beginning = write_film(path, moments, environment, (WIDTH, HEIGHT))
+    chosen = play_failures if kind == "failures" else play
+    with load_player(folder, name) as player:
+        moments = chosen(player.environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed)
+        beginning = write_film(path, moments, player.environment, (WIDTH, HEIGHT))
     if kind == "episodes":
         size = WIDTH // 2, HEIGHT // 2
         add_film(folder.tensorboard, beginning, size, read_meta(folder.checkpoints, name)["steps"])
