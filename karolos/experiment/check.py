@@ -13,7 +13,7 @@ from ..errors import UsageError
 from ..specification import Spec
 from ..specification.sweep import MEASURES, directions
 from ..system import memory
-from ..training.assembly import make_agent, make_buffer, making, try_environments
+from ..training.assembly import make_agent, make_buffer, try_environments
 from ..training.demonstrations import check_demonstrations
 
 REPLAY_SETTINGS = {
@@ -46,9 +46,9 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     with spec.located():
         signature, size = try_environments(spec), environments_of(spec)
         check_memory(spec, signature, jobs)
-        with making("agent", spec.agent):
+        with spec.making("agent"):
             agent = make_agent(spec, signature, SeedTree(0))
-        with making("buffer", spec.buffer):
+        with spec.making("buffer"):
             buffer = make_buffer(spec, signature, SeedTree(0), environments=size, discount=agent.discount)
         _check_amounts(spec, agent, buffer)
         if spec.sweep is not None:

@@ -15,8 +15,9 @@ from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_valid
 from pydantic import Field as Setting
 
 from ..core import Settings
-from ..errors import KarolosError
+from ..errors import KarolosError, UsageError, described
 from ..files import fingerprint, is_portable
+from ..registry import blaming
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep, Transfer
 from .tree import PARTS
@@ -353,6 +354,18 @@ class Spec(Settings):
                 error.where = None
             error.where = self._origin(error.setting) or error.where
             raise
+
+    @contextmanager
+    def making(self, key: str) -> Iterator[None]:
+        """Turn an error of the constructor of the part's plugin into a UsageError that names it, or a PluginError."""
+        try:
+            with blaming():
+                yield
+        except KarolosError:
+            raise
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            what = f"{key} {getattr(self, key).name!r} cannot be made: {described(error)}"
+            raise UsageError(what, setting=f"{key}.name") from error
 
     def _origin(self, path: str | None) -> str | None:
         """Place at which the setting `path`, or the first one below it, or its part was set. None for default parts."""

@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
 from functools import partial
 
 import numpy as np
 
 from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, random_actions
 from ..environments.build import build_environment, is_setting
-from ..errors import KarolosError, PluginError, UsageError, WorkerError, described
+from ..errors import KarolosError, PluginError, WorkerError
 from ..orchestrator.local import Local
-from ..registry import blaming, find
-from ..specification import Part, Spec
+from ..specification import Spec
 from ..specification.parts import Recipe
 
 
@@ -91,7 +88,7 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
     given, generator = spec.orchestrator.settings, np.random.default_rng(0)
     processes, limit = getattr(given, "processes", 1), getattr(given, "time_limit", 60.0)
     parts = filter(None, (recipe.environment, recipe.robot, recipe.task))
-    if all(find(one.kind, one.name).distribution == "karolos" and one.name != "gymnasium" for one in parts):
+    if not any(one.is_foreign or one.name == "gymnasium" for one in parts):
         processes = 0  # our own code does not end its process
     settings = Local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
     try:
@@ -116,16 +113,3 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
         what = ": ".join(filter(None, (place, error.what)))
         kind = PluginError if isinstance(error, WorkerError) else type(error)
         raise kind(what, setting=key, plugin=error.plugin, hint=error.hint) from None
-
-
-@contextmanager
-def making(key: str, part: Part) -> Iterator[None]:
-    """Turn an error of a plugin's constructor into a UsageError that names the plugin, or a PluginError at its line."""
-    try:
-        with blaming():
-            yield
-    except KarolosError:
-        raise
-    except (Exception, SystemExit) as error:  # a plugin may raise anything
-        what = f"{key} {part.name!r} cannot be made: {described(error)}"
-        raise UsageError(what, setting=f"{key}.name") from error
