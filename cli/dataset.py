@@ -56,7 +56,6 @@ def dataset(
     Episodes are played in the processes and environments of the spec's orchestrator. The same command continues an
     interrupted recording. An episode's seeds and noise depend only on its number.
     """
-    from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note
     from karolos.evaluation.policies import load_agent
     from karolos.files import write_whole
@@ -107,7 +106,7 @@ def dataset(
         recorder = Recorder(
             environments,
             act or expert_act(environments.signature),
-            SeedTree(seed).child("dataset"),
+            seed,
             recording,
             episodes,
             only_success=only is not None,
@@ -131,21 +130,17 @@ def dataset(
 
 def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """Meaning and origin of the numbers. Only the number of episodes may change when the recording continues."""
-    from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
     from karolos.records import provenance
 
-    with opened(recipe) as environment:
-        facts = Facts.of(environment)
-        doc = (type(getattr(environment, "task", environment)).__doc__ or "").strip().splitlines()
     versions, code = provenance.versions(), provenance.code(Path.cwd())
     dumped = spec.dump()
     return describe(
-        facts,
+        recipe,
         {
             "title": f"{spec.name}: {policy}",
-            "task": doc[0].removeprefix("What to do: ").capitalize() if doc else spec.name,
+            "task": spec.name,
             "robot": spec.robot.name if spec.robot else spec.environment.name,
             "policy": policy,
             **chosen,
@@ -202,11 +197,10 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
 
 def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[str, Any], *, expert: bool) -> Any:
     """The spec's environments, filmed or not; with the expert's actions at the end of observations."""
-    from karolos.environments.build import build_environment
-    from karolos.recordings.playing import build_with_expert
+    from karolos.recordings.playing import build_recorded
 
     cameras = about.get("cameras", {})
-    build: Any = partial(build_with_expert if expert else build_environment, recipe)
+    build: Any = partial(build_recorded, recipe, expert=expert)
     if films:
         from karolos.recordings.cameras import build_filmed
         from karolos.recordings.lerobot import whole_rate
