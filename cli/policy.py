@@ -111,7 +111,9 @@ def play(
         )
         beginning = write_film(target, filmed, environment, (width, height))
     if not (expert or out or failures or changed or is_shipped(folder)):
-        _show_in_tensorboard(folder, name, beginning, (width // 2, height // 2))
+        from karolos.experiment.tensorboard_writer import add_film
+
+        add_film(folder, name, beginning, (width // 2, height // 2))
     print(target)
 
 
@@ -127,13 +129,6 @@ def _modules(folder: RunFolder) -> list[str]:
     environment = spec.get("environment")
     found += [str(environment.get("id", ""))] if isinstance(environment, dict) else []
     return sorted({module for module, colon, _ in (target.rpartition(":") for target in found) if colon})
-
-
-def _show_in_tensorboard(folder: RunFolder, checkpoint: str, film: bytes, size: tuple[int, int]) -> None:
-    from karolos.experiment.tensorboard_writer import add_film
-    from karolos.records.checkpoint import read_meta
-
-    add_film(folder.tensorboard, film, size, read_meta(folder.checkpoints, checkpoint)["steps"])
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

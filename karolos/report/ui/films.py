@@ -14,7 +14,7 @@ from ...errors import KarolosError, UsageError
 from ...evaluation.playing import load_player, play, play_failures
 from ...experiment.tensorboard_writer import add_film
 from ...records import RunFolder
-from ...records.checkpoint import names, read_meta
+from ...records.checkpoint import names
 from ..video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
@@ -81,8 +81,7 @@ def make(folder: RunFolder, path: Path, kind: str) -> None:
         moments = chosen(player.environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed)
         beginning = write_film(path, moments, player.environment, (WIDTH, HEIGHT))
     if kind == "episodes":
-        size = WIDTH // 2, HEIGHT // 2
-        add_film(folder.tensorboard, beginning, size, read_meta(folder.checkpoints, name)["steps"])
+        add_film(folder, name, beginning, (WIDTH // 2, HEIGHT // 2))
 
 
 if __name__ == "__main__":
