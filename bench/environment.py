@@ -18,7 +18,7 @@ import numpy as np
 from karolos.core import FloatArray, random_actions
 from karolos.environments.robot_task import RobotTask
 from karolos.plugins.inspection import pair
-from karolos.randomization.distributions import Normal
+from karolos.registry import load
 from karolos.simulation.engines import Engine
 
 from .side_by_side import Row, beside, require, seconds_of, take_turns
@@ -56,7 +56,8 @@ def measure(
     for mode in modes:
         plain, randomized = (pair(robot, task, engine, control=mode) for _ in range(2))
         # Each value drawn is nominal, so that the physics is the same.
-        nominal = {name: Normal(Normal.Settings(mean=one.nominal, std=0.0)) for name, one in plain.declared.items()}
+        normal = load("distributions", "normal")
+        nominal = {name: normal(normal.Settings(mean=one.nominal, std=0.0)) for name, one in plain.declared.items()}
         randomized.randomize(nominal)
         contestants[mode, "steps"] = partial(_steps_and_physics, plain)
         contestants[mode, "reset"] = partial(_reset, plain)

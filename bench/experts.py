@@ -18,10 +18,10 @@ from karolos.evaluation.playing import FirstSuccesses, evaluate
 from karolos.evaluation.policies import expert_policy, random_policy
 from karolos.gym import STEPS
 from karolos.plugins import inspection
+from karolos.records.intervals import wilson
 from karolos.registry import names
 from karolos.simulation.engines import Engine
 from karolos.simulation.interface import Task
-from karolos.statistics.intervals import wilson
 from karolos.system import cores
 
 from .side_by_side import Row

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from itertools import product
 from statistics import median
 from time import perf_counter, process_time, sleep
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from typer import Option
@@ -22,8 +22,7 @@ from typer import Option
 from karolos.core import Array, Environment, Field, Layout, Orchestrator, Received, Signature, Step, random_actions
 from karolos.environments.build import build_environment
 from karolos.gym import environment_ids
-from karolos.orchestrator.local import Local
-from karolos.orchestrator.ray import Ray
+from karolos.registry import load
 from karolos.specification import spec_from_dict
 from karolos.system import cores
 
@@ -103,7 +102,7 @@ def process_counts() -> list[int]:
 
 def _seconds_of_resets(build: Build, processes: int, threads: int, number: int, _: int) -> float:
     """Seconds for a number of resets; each environment that is ready gets the next."""
-    with Local(Local.Settings(processes=processes, threads=threads, environments=1), build) as orchestrator:
+    with _orchestrator("local", build, processes=processes, threads=threads, environments=1) as orchestrator:
 
         def reset(number: int) -> None:
             ready, begun, ended = np.arange(min(orchestrator.size, number)), 0, 0
@@ -116,6 +115,12 @@ def _seconds_of_resets(build: Build, processes: int, threads: int, number: int, 
 
         reset(2 * orchestrator.size)  # a world's first reset loads it
         return seconds_of(partial(reset, number))
+
+
+def _orchestrator(name: str, build: Build, **settings: int) -> Orchestrator:
+    plugin = load("orchestrators", name)
+    orchestrator: Orchestrator = plugin(plugin.Settings(**settings), build)
+    return orchestrator
 
 
 def _received(orchestrator: Orchestrator, at_least: int | None) -> Received:
@@ -152,7 +157,7 @@ def _steps(build: Build, what: str, environments: int, seconds: float, turns: in
     costs: dict[int, list[float]] = {}
 
     def rate(count: int, mode: str, _: int) -> float:
-        with Local(Local.Settings(processes=count, environments=environments), build) as orchestrator:
+        with _orchestrator("local", build, processes=count, environments=environments) as orchestrator:
             at_least = None if mode == "lockstep" else max(orchestrator.size // 2, 1)
             steps_per_second(orchestrator, 0.0, at_least)  # a world's first reset loads it
             wall, cpu = perf_counter(), process_time()
@@ -185,8 +190,8 @@ def _waiting(threads: int, seconds: float) -> Iterator[Row]:
     """Environments that wait, which threads speed up."""
 
     def rate(number: int, _: int) -> float:
-        layout = Local.Settings(processes=1, threads=number, environments=2 * threads // number)
-        with Local(layout, partial(Waiting, WAIT)) as made:
+        layout = {"processes": 1, "threads": number, "environments": 2 * threads // number}
+        with _orchestrator("local", partial(Waiting, WAIT), **layout) as made:
             return steps_per_second(made, seconds)
 
     rates = take_turns({number: partial(rate, number) for number in range(1, threads + 1)}, turns=1)
@@ -202,9 +207,8 @@ def _ray(size: int, seconds: float, turns: int) -> Iterator[Row]:
         return
 
     def rate(workers: int, wait: float, _: int) -> float:
-        kind: Any = Ray if workers else Local
         settings = {"workers": workers, "environments": size // workers} if workers else {"environments": size}
-        with kind(kind.Settings(**settings), partial(Waiting, wait)) as made:
+        with _orchestrator("ray" if workers else "local", partial(Waiting, wait), **settings) as made:
             return steps_per_second(made, seconds)
 
     for wait in RAY_WAITS:

@@ -18,9 +18,10 @@ from typing import Annotated, Any, Literal
 
 import gymnasium
 import numpy as np
+import torch
 from typer import Option
 
-from karolos.agents.device import resolve_device, synchronise, use_threads, uses_bfloat16
+from karolos.agents.device import resolve_device, use_threads, uses_bfloat16
 from karolos.core import Agent, Batch, Discrete, Field, Layout, Signature
 from karolos.core.seeding import SeedTree
 from karolos.errors import MachineError
@@ -78,7 +79,8 @@ def measure(
     def rate(update: Update, _: int) -> float:
         def finished() -> None:
             update()
-            synchronise(on)
+            if on != "cpu":
+                torch.cuda.synchronize(on)
 
         return TURN / seconds_of(finished, process_time if where == "1 thread" else perf_counter)
 

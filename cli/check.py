@@ -72,7 +72,7 @@ def check(
 
 def _check_parts(spec: Spec, runs: Path) -> str | None:
     """Raise an error if the spec cannot work; returns a note on possible surprises."""
-    from karolos.training.assembly import check_parts  # not for an invalid spec: it takes half a second
+    from karolos.experiment.check import check_parts  # not for an invalid spec: it takes half a second
 
     note = check_parts(spec)
     if getattr(spec.agent.settings, "start_from", None) is not None:

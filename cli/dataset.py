@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -15,7 +16,7 @@ from .output import print_rows, say, warn
 
 if TYPE_CHECKING:
     from karolos.recordings.playing import Recorder
-    from karolos.recordings.recording import RecordingFolder
+    from karolos.recordings.recording import Played, RecordingFolder
     from karolos.specification import Spec
     from karolos.specification.parts import Recipe
 
@@ -55,11 +56,10 @@ def dataset(
     Episodes are played in the processes and environments of the spec's orchestrator. The same command continues an
     interrupted recording. An episode's seeds and noise depend only on its number.
     """
-    from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note
     from karolos.evaluation.policies import load_agent
     from karolos.files import write_whole
-    from karolos.recordings.card import card, outcome
+    from karolos.recordings.card import card
     from karolos.recordings.recording import RecordingFolder
 
     chosen = {
@@ -106,7 +106,7 @@ def dataset(
         recorder = Recorder(
             environments,
             act or expert_act(environments.signature),
-            SeedTree(seed).child("dataset"),
+            seed,
             recording,
             episodes,
             only_success=only is not None,
@@ -115,7 +115,7 @@ def dataset(
             hidden=environments.signature.action.size if expert else 0,
         )
         played = _run(recorder, episodes)
-    done = {**about, "outcome": outcome(played)}
+    done = {**about, "outcome": _outcome(played)}
     _write(format, out, done, recording, films)
     write_whole(out / "README.md", card(done))
     if format == "karolos":
@@ -130,21 +130,17 @@ def dataset(
 
 def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> dict[str, Any]:
     """Meaning and origin of the numbers. Only the number of episodes may change when the recording continues."""
-    from karolos.environments.build import Facts, opened
     from karolos.errors import recorded
     from karolos.recordings.recording import describe
     from karolos.records import provenance
 
-    with opened(recipe) as environment:
-        facts = Facts.of(environment)
-        doc = (type(getattr(environment, "task", environment)).__doc__ or "").strip().splitlines()
     versions, code = provenance.versions(), provenance.code(Path.cwd())
     dumped = spec.dump()
     return describe(
-        facts,
+        recipe,
         {
             "title": f"{spec.name}: {policy}",
-            "task": doc[0].removeprefix("What to do: ").capitalize() if doc else spec.name,
+            "task": spec.name,
             "robot": spec.robot.name if spec.robot else spec.environment.name,
             "policy": policy,
             **chosen,
@@ -158,6 +154,29 @@ def _about(spec: Spec, recipe: Recipe, policy: str, chosen: dict[str, Any]) -> d
             "commit": code[0]["commit"] + (" and uncommitted changes" if code[0]["dirty"] else "") if code else None,
         },
     )
+
+
+def _outcome(played: Sequence[Played]) -> dict[str, Any]:
+    """Number of episodes that were played, kept and successful."""
+    from math import isfinite
+    from statistics import fmean
+
+    from karolos.records.intervals import wilson
+
+    successes = sum(one.success for one in played)
+    low, high = wilson(successes, len(played))
+    means = {}
+    for name in sorted({name for one in played for name in one.measures}):
+        means[name] = fmean(one.measures[name] for one in played if name in one.measures)
+    return {
+        "played": len(played),
+        "successes": successes,
+        "success_interval": [low, high],
+        "kept": sum(one.kept for one in played),
+        "failed_and_left_out": sum(not (one.kept or one.diverged) for one in played),
+        "diverged_and_left_out": sum(one.diverged for one in played),
+        "measures": {name: mean for name, mean in means.items() if isfinite(mean)},
+    }
 
 
 def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:
@@ -178,11 +197,10 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
 
 def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[str, Any], *, expert: bool) -> Any:
     """The spec's environments, filmed or not; with the expert's actions at the end of observations."""
-    from karolos.environments.build import build_environment
-    from karolos.recordings.playing import build_with_expert
+    from karolos.recordings.playing import build_recorded
 
     cameras = about.get("cameras", {})
-    build: Any = partial(build_with_expert if expert else build_environment, recipe)
+    build: Any = partial(build_recorded, recipe, expert=expert)
     if films:
         from karolos.recordings.cameras import build_filmed
         from karolos.recordings.lerobot import whole_rate

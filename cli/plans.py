@@ -159,8 +159,8 @@ def _print_samples(search: Search, *, json: bool) -> None:
 
     Raises UsageError as the search itself if its parts are incompatible, or the environment lacks an objective.
     """
+    from karolos.experiment.check import check_parts
     from karolos.plans.study import STARTUP_TRIALS
-    from karolos.training.assembly import check_parts
 
     if (note := check_parts(search.spec)) is not None:
         warn(note)

@@ -62,11 +62,9 @@ def play(
     from rich.console import Console
     from rich.progress import track
 
-    from karolos.environments.build import used
-    from karolos.evaluation.changed_spec import load_player
+    from karolos.evaluation.playing import load_expert, load_player, play_failures
     from karolos.evaluation.playing import play as play_all
-    from karolos.evaluation.playing import play_failures
-    from karolos.evaluation.policies import engine_of, has_window, load_expert
+    from karolos.evaluation.policies import has_window
     from karolos.records.shipped import is_shipped
     from karolos.report.video import check_video_path, write_film
     from karolos.specification import load_spec
@@ -79,25 +77,25 @@ def play(
         target = out or (Path(f"{run}.mp4") if is_shipped(folder) else folder.path / "play.mp4")
     if not window:
         check_video_path(target)
-    note = None
     if expert:
-        environment, policy = load_expert(spec, window=window and has_window(spec))
+        loading = load_expert(spec, window=window and has_window(spec))
     else:
         if modules := _modules(folder):
             say(f"{folder.id} names code of this machine: {', '.join(modules)} will be imported")
         name = chosen_checkpoint(folder, checkpoint)
-        player = load_player(folder, name, changed, window=window)
-        spec, environment, policy, note = player.spec, player.environment, player.policy, player.note
-    if note:
-        warn(note)
-    with used(environment):
+        loading = load_player(folder, name, changed, window=window)
+    with loading as player:
+        spec, environment = player.spec, player.environment
+        seed = spec.testing.seed
+        if player.note:
+            warn(player.note)
         if window and not has_window(spec):
-            hint = " (environment.engine=bullet opens one)" if engine_of(spec) else ""
+            hint = " (environment.engine=bullet opens one)" if spec.robot else ""
             say(f"this environment has no window: a film is written{hint}")
             check_video_path(target)
             window = False
         count = episodes or (5 if window else 1)
-        played = (play_failures if failures else play_all)(environment, policy, episodes=count, seed=spec.testing.seed)
+        played = (play_failures if failures else play_all)(environment, player.policy, episodes=count, seed=seed)
         moments = _report_episodes(played)
         if window:
             for _ in moments:
@@ -113,7 +111,9 @@ def play(
         )
         beginning = write_film(target, filmed, environment, (width, height))
     if not (expert or out or failures or changed or is_shipped(folder)):
-        _show_in_tensorboard(folder, name, beginning, (width // 2, height // 2))
+        from karolos.experiment.tensorboard_writer import add_film
+
+        add_film(folder, name, beginning, (width // 2, height // 2))
     print(target)
 
 
@@ -129,13 +129,6 @@ def _modules(folder: RunFolder) -> list[str]:
     environment = spec.get("environment")
     found += [str(environment.get("id", ""))] if isinstance(environment, dict) else []
     return sorted({module for module, colon, _ in (target.rpartition(":") for target in found) if colon})
-
-
-def _show_in_tensorboard(folder: RunFolder, checkpoint: str, film: bytes, size: tuple[int, int]) -> None:
-    from karolos.experiment.tensorboard_writer import add_film
-    from karolos.records.checkpoint import read_meta
-
-    add_film(folder.tensorboard, film, size, read_meta(folder.checkpoints, checkpoint)["steps"])
 
 
 def _report_episodes(moments: Iterator[Moment]) -> Iterator[Moment]:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from json import dumps
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -171,19 +170,11 @@ def score(
 
 def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, the assumptions about its file, and its name."""
-    from karolos.files import INSTALLED, installed_file
+    from karolos.plans.robot_score import file_overrides
     from karolos.registry import names
-    from karolos.robots.from_file import FromFile, proposal_of
 
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
-    path = Path((installed_file(robot) if robot.startswith(INSTALLED) else None) or robot)
-    settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
-    try:
-        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
-    except PluginError:
-        settings |= {"repair": True} | ({"mass": mass} if mass is not None else {})
-        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
-    given = [f"robot.{key}={dumps(value)}" for key, value in settings.items()]
-    return ["robot.name=urdf", *given, *gripping], [*found.notes], path.stem
+    given, notes, name = file_overrides(robot, gripper, mass)
+    return [*given, *gripping], notes, name

@@ -60,7 +60,7 @@ def run(
 
     found, longest = load_spec(spec, with_launcher(overrides, on)), seconds(time_limit)
     if detach:
-        from karolos.training.assembly import check_parts
+        from karolos.experiment.check import check_parts
 
         check_parts(found)
         _detach(runs / f"{found.name}.log")

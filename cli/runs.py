@@ -163,7 +163,7 @@ def _groups(found: Sequence[RunSummary]) -> list[dict[str, Any]]:
     `steps_to_95` is the median over runs with a success. A run that never reached it counts as infinite.
     """
     from karolos.comparison.contenders import averaged, name_of, repeated
-    from karolos.statistics.reaching import median_reaching
+    from karolos.comparison.reaching import median_reaching
 
     groups: dict[str, list[RunSummary]] = {}
     for run in found:

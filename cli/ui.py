@@ -36,7 +36,7 @@ def ui(
     missing = [name for name in ("starlette", "uvicorn") if importlib.util.find_spec(name) is None]
     if missing:
         raise UsageError(f"{' and '.join(missing)} is missing", hint="pip install 'karolos[ui]'")
-    from karolos.ui.server import serve
+    from karolos.report.ui.server import serve
 
     def ready(address: str) -> None:
         say(f"shows {runs}; Ctrl-C ends it")

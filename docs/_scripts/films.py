@@ -11,9 +11,7 @@ from pathlib import Path
 
 from PIL import Image
 
-from karolos.evaluation.changed_spec import load_player
-from karolos.evaluation.playing import play
-from karolos.evaluation.policies import load_expert
+from karolos.evaluation.playing import load_expert, load_player, play
 from karolos.records import RunFolder, shipped
 from karolos.report.video import pictures_per_second, with_caption, write_gif
 from karolos.specification import load_spec
@@ -45,20 +43,17 @@ def make(name: str) -> Path:
     """Film test episodes of a shipped policy, or of a guest."""
     policy, *overrides = GUESTS.get(name, (name,)) or ("",)
     if policy:
-        player = load_player(RunFolder.open(shipped.FOLDER / policy), overrides=overrides)
-        environment, acting, spec = player.environment, player.policy, player.spec
+        loading = load_player(RunFolder.open(shipped.FOLDER / policy), overrides=overrides)
     else:
-        spec = load_spec(name)
-        environment, acting = load_expert(spec)
-    pictures, rate = [], pictures_per_second(environment)
-    try:
-        for moment in play(environment, acting, episodes=EPISODES, seed=spec.testing.seed):
+        loading = load_expert(load_spec(name))
+    with loading as player:
+        environment, seed, pictures = player.environment, player.spec.testing.seed, []
+        rate = pictures_per_second(environment)
+        for moment in play(environment, player.policy, episodes=EPISODES, seed=seed):
             text, failed = "success" if moment.success else "", moment.over and not moment.success
             for picture in environment.film(round(rate / environment.rate) if moment.step else 1, *SIZE):
                 pictures.append(with_caption(picture, text, success=moment.success, failed=failed))
             pictures += pictures[-1:] * (HOLD * moment.over)
-    finally:
-        environment.close()
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
     write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(policy)}" if policy else "expert")

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 from argparse import ArgumentParser
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -19,8 +19,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from karolos.environments.robot_task import RobotTask
-from karolos.evaluation.changed_spec import load_player
-from karolos.evaluation.policies import Policy, load_expert
+from karolos.evaluation.playing import load_expert, load_player
+from karolos.evaluation.policies import Policy
 from karolos.evaluation.testing import test_seeds
 from karolos.records import RunFolder, shipped
 from karolos.simulation.engines import ENGINES, Engine, make_world
@@ -325,15 +325,13 @@ def played(name: str, count: int, engine: Engine, rate: int, *, expert: bool) ->
     """`episodes` of a policy that ships or of a run folder, or of the expert of a spec."""
     changes = [f"environment.engine={engine}", f"environment.physics_rate={rate}"]
     if expert:
-        spec = load_spec(name, overrides=changes)
-        environment, policy = load_expert(spec)
+        loading = load_expert(load_spec(name, overrides=changes))
     else:
         folder = Path(name) if Path(name).is_dir() else shipped.FOLDER / name
-        player = load_player(RunFolder.open(folder), "best", changes)
-        spec, environment, policy = player.spec, player.environment, player.policy
-    assert isinstance(environment, RobotTask)
-    with closing(environment):
-        return episodes(environment, policy, count, spec.testing.seed)
+        loading = load_player(RunFolder.open(folder), "best", changes)
+    with loading as player:
+        assert isinstance(player.environment, RobotTask)
+        return episodes(player.environment, player.policy, count, player.spec.testing.seed)
 
 
 def table(rows: dict[tuple[str, str], dict[str, float]]) -> str:

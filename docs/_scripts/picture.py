@@ -15,8 +15,8 @@ from queue import Queue
 
 from PIL import Image
 
+from karolos.report.ui.server import serve
 from karolos.store import Store, reindex
-from karolos.ui.server import serve
 
 ROOT = Path(__file__).parents[2]
 PICTURE = ROOT / "docs" / "page.png"

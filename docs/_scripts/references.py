@@ -21,6 +21,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from karolos.comparison import Contender, Estimate, compare, gather
+from karolos.comparison.reaching import median_reaching
 from karolos.errors import KarolosError
 from karolos.export.export import export_policy
 from karolos.files import write_json
@@ -29,7 +30,6 @@ from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
 from karolos.report.tables import count, duration, estimate
 from karolos.specification import Spec, load_spec, spec_from_dict
-from karolos.statistics.reaching import median_reaching
 from karolos.store import Store, reindex
 
 ROOT = Path(__file__).parents[2]

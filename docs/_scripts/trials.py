@@ -14,12 +14,12 @@ from statistics import fmean
 import numpy as np
 
 from karolos.comparison import Contender
+from karolos.comparison.aggregates import LEVELS, RESAMPLES, improvement
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
+from karolos.experiment.check import check_parts
 from karolos.records.run_records import RunRecord
 from karolos.specification import Spec, load_spec
-from karolos.statistics.aggregates import LEVELS, RESAMPLES, improvement
-from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]
 SEEDS = 2

@@ -38,12 +38,6 @@ def use_threads(count: int) -> None:
     torch.set_num_threads(count)
 
 
-def synchronise(device: str) -> None:
-    """Wait until the device has finished its work. A CPU has always finished."""
-    if device != "cpu":
-        torch.cuda.synchronize(device)
-
-
 def uses_bfloat16(precision: Precision, device: str | torch.device) -> bool:
     """Whether hidden layers compute in bfloat16. `auto` chooses it on an x86 CPU with instructions for it.
 

@@ -1,4 +1,4 @@
-"""Computes the numbers that compare experiments from their runs. `karolos.report` draws them."""
+"""Compares experiments by the numbers of their runs, with statistics over seeds. `karolos.report` draws them."""
 
 from .contenders import Contender, gather
 from .curves import learning_curve

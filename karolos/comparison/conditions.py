@@ -13,7 +13,7 @@ from ..errors import KarolosError
 from ..records import RunFolder
 from ..records.evaluation import Evaluation
 from ..records.run_records import RunRecord
-from ..statistics import aggregates
+from . import aggregates
 from .contenders import Contender
 from .scores import Estimate, estimate
 

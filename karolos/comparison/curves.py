@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core.seeding import Generator
+from ..records.intervals import wilson
 from ..records.run_records import Metric, RunRecord, Success
-from ..statistics import aggregates
-from ..statistics.density import Density
-from ..statistics.intervals import wilson
 from ..store import Store
+from ..store.density import Density
 from ..store.experiments import success_densities
+from . import aggregates
 from .contenders import Contender
 
 Axis = Literal["steps", "seconds"]

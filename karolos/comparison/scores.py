@@ -17,16 +17,16 @@ from numpy.typing import NDArray
 from ..core.seeding import SeedTree
 from ..errors import UsageError
 from ..records.evaluation import Measured
+from ..records.intervals import wilson
 from ..records.run_records import Metric, RunRecord, Success, without_seeds
-from ..statistics import aggregates
-from ..statistics.density import Density
-from ..statistics.intervals import wilson
-from ..statistics.reaching import first_reaching, median_reaching
 from ..store import Store
+from ..store.density import Density
 from ..store.experiments import success_densities
+from . import aggregates
 from .contenders import Contender, cautions
 from .curves import densities, places
 from .differences import MISSING, differences
+from .reaching import first_reaching, median_reaching
 
 IntervalKind = Literal["none", "wilson", "range", "approximate", "bootstrap"]
 """Kind of an interval. Wilson's: one run. Smallest to largest: 2 - 4 seeds. Bootstrap: 5 - 9 seeds, where it covers too

@@ -19,6 +19,7 @@ from ..core.environment import close
 from ..errors import PluginError, UsageError
 from ..randomization.distributions import Choice
 from ..registry import blaming
+from ..simulation.engines import ENGINES, PhysicsEngine
 from ..specification.parts import Part, Recipe, validate_strictly
 from .robot_task import RobotTask
 
@@ -52,6 +53,12 @@ def build_environment(recipe: Recipe) -> Environment:
         return _build(recipe)
     except SystemExit as error:
         raise _exited(recipe.environment.name, error) from error
+
+
+def engine_of(environment: Part) -> PhysicsEngine | None:
+    """The physics engine of a robot with a task; None of another environment."""
+    settings = environment.settings
+    return ENGINES[settings.engine] if isinstance(settings, RobotTask.Settings) else None
 
 
 def _exited(name: str, error: SystemExit) -> PluginError:

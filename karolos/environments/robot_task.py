@@ -34,6 +34,11 @@ LEAST_SHOWN, LONGEST_SHOWN, LENGTH_OF_FORCE = 1.0, 20.0, 0.25
 """Smallest force with an arrow in a picture and force with the longest arrow, in N; length of the longest arrow as a
 fraction of the camera's distance."""
 
+USUAL_REACH = 0.5
+"""Way in m from the base to the tool at home of the arms that a camera shows whole."""
+WRIST = Camera(distance=0.3, yaw=-90.0, pitch=-55.0, field_of_view=60.0)
+"""Camera behind and above the tool, which is its target. It moves with the tool, without turning."""
+
 
 class RobotTask(Environment):
     """Any robot with any task. Neither knows the other. The physics world is built at the first reset.
@@ -344,6 +349,15 @@ class RobotTask(Environment):
         """The world with the task's markers, and the force at the tool if robot or task observe the wrench."""
         [picture] = self.film(1, width, height)
         return picture
+
+    def portrait(self, width: int, height: int) -> Array:
+        """A picture of the robot at its place, the same for every task. A large arm is seen from further away."""
+        view = Camera()
+        (x, y, _), (dx, dy, _) = self.robot.base, np.subtract(self.robot.tool.position, self.robot.base).tolist()
+        scale = max(1.0, hypot(dx, dy) / USUAL_REACH)
+        target = x + 0.66 * dx, y + 0.66 * dy, scale * view.target[2]
+        view = replace(view, target=target, distance=scale * view.distance, base=self.robot.base)
+        return self.world.render(width, height, view)
 
     def film(self, pictures: int, width: int = 640, height: int = 480) -> Iterator[Array]:
         strokes = [*self.task.strokes(), *self._force()]

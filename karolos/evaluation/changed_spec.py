@@ -4,36 +4,21 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil
 
 from ..core import Environment, Signature
 from ..core.signature import SAME_LAYOUTS, layout_differences
-from ..environments.build import opened, used
+from ..environments.build import engine_of, opened, used
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError, closest
-from ..records import RunFolder
 from ..specification import Spec, spec_from_dict
 from ..specification.tree import FILES, RANDOMIZATION
-from ..training.assembly import located
-from .policies import Policy, engine_of, environment_of, has_window, load_agent, playable
+from .policies import environment_of, playable
 
 CHANGEABLE = ("robot", "task", "environment", "randomization", "orchestrator")
 """Keys of a spec that define the environment of a test. The other keys define the training."""
 PARTS = ("robot", "task")
 """Keys whose parameters an override may set like settings."""
-
-
-@dataclass(frozen=True)
-class Player:
-    """A policy and the environment to play it in."""
-
-    spec: Spec
-    """The run's spec with the changes."""
-    environment: Environment
-    policy: Policy
-    note: str | None
-    """One line if the policy learned in another physics engine."""
 
 
 def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, randomize: bool = False) -> Spec:
@@ -81,7 +66,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
         )
     if not randomize:
         spec = spec.model_copy(update={RANDOMIZATION: {key: spec.randomization[key] for key in sorted(parameters)}})
-    with located(spec), used(environment_of(spec, randomize=True)) as environment:
+    with spec.located(), used(environment_of(spec, randomize=True)) as environment:
         if differences := layout_differences(environment.signature, trained):
             changed = [_key(text) for text in overrides if _key(text).startswith(("robot", "task", "environment"))]
             raise UsageError(
@@ -110,32 +95,9 @@ def _with_time(spec: Spec, environment: Environment) -> Spec:
     return spec.having("task", max_steps=steps)
 
 
-def load_player(
-    folder: RunFolder, name: str = "best", overrides: Sequence[str] = (), *, window: bool = False
-) -> Player:
-    """The policy of a run's checkpoint, and one environment.
-
-    Args:
-        folder: the run's.
-        name: `best` or `last`.
-        overrides: as for `changed_spec`. No other parameter is randomized.
-        window: whether to show the world in a window, if the environment has one.
-
-    Raises:
-        SpecError: an override is not valid.
-        UsageError: an override is about training, or changes a layout.
-        RunError: the checkpoint is missing or damaged.
-        MachineError: there is no display for the window.
-    """
-    saved = load_agent(folder, name)
-    spec = changed_spec(saved.spec, overrides, trained=saved.signature)
-    environment = environment_of(spec, randomize=True, window=window and has_window(spec))
-    return Player(spec, environment, saved.policy(), engine_note(saved.spec, spec))
-
-
 def engine_note(saved: Spec, played: Spec) -> str | None:
     """One line if a policy is played in another physics engine than it was trained in; None otherwise."""
-    own, other = engine_of(saved), engine_of(played)
+    own, other = engine_of(saved.environment), engine_of(played.environment)
     if own is None or other is None or other == own:
         return None
     missing = "" if own.installed else ", which is not installed"

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from statistics import fmean
 
 import numpy as np
@@ -11,10 +13,60 @@ import numpy as np
 from ..core import Environment, FloatArray, Moment
 from ..environments.build import used
 from ..errors import UsageError
+from ..records import RunFolder
 from ..records.evaluation import Evaluation
 from ..specification import Spec
-from .policies import Policy, environment_of
+from .changed_spec import changed_spec, engine_note
+from .policies import Policy, environment_of, expert_policy, has_window, load_agent
 from .testing import measured, test_seeds
+
+
+@dataclass(frozen=True)
+class Player:
+    """A policy and the environment to play it in."""
+
+    spec: Spec
+    """The run's spec with the changes."""
+    environment: Environment
+    policy: Policy
+    note: str | None
+    """One line if the policy learned in another physics engine."""
+
+
+@contextmanager
+def load_player(
+    folder: RunFolder, name: str = "best", overrides: Sequence[str] = (), *, window: bool = False
+) -> Iterator[Player]:
+    """The policy of a run's checkpoint, and one environment, which is closed after the block.
+
+    Args:
+        folder: the run's.
+        name: `best` or `last`.
+        overrides: as for `changed_spec`. No other parameter is randomized.
+        window: whether to show the world in a window, if the environment has one.
+
+    Raises:
+        SpecError: an override is not valid.
+        UsageError: an override is about training, or changes a layout.
+        RunError: the checkpoint is missing or damaged.
+        MachineError: there is no display for the window.
+        PluginError: a plugin fails in the block.
+    """
+    saved = load_agent(folder, name)
+    spec = changed_spec(saved.spec, overrides, trained=saved.signature)
+    with used(environment_of(spec, randomize=True, window=window and has_window(spec))) as environment:
+        yield Player(spec, environment, saved.policy(), engine_note(saved.spec, spec))
+
+
+@contextmanager
+def load_expert(spec: Spec, *, window: bool = False) -> Iterator[Player]:
+    """The expert of a spec's task, and one environment without randomization, which is closed after the block.
+
+    Raises UsageError if there is no expert, MachineError if there is no display for the window, PluginError if a plugin
+    fails in the block.
+    """
+    with used(environment_of(spec, window=window)) as environment:
+        yield Player(spec, environment, expert_policy(environment), None)
 
 
 class FirstSuccesses(dict[int, int]):

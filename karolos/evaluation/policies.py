@@ -13,15 +13,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from ..core import Agent, Deployed, Discrete, Environment, Signature, State, Step, random_actions
 from ..core.seeding import SeedTree
-from ..environments.build import Facts, build_environment, used
-from ..environments.robot_task import RobotTask
+from ..environments.build import Facts, build_environment, engine_of, used
 from ..errors import MachineError, NoSuchRunError, UsageError, closest
 from ..files import read_object
 from ..records import RunFolder, checkpoint, provenance
 from ..records.evaluation import Evaluation
 from ..records.shipped import POLICY, is_shipped
-from ..registry import blaming
-from ..simulation.engines import ENGINES, PhysicsEngine, installed_one
 from ..specification import Spec, load_spec, spec_from_dict
 from ..specification.files import SHIPPED, SPEC_SUFFIXES, find_spec, shipped_specs
 from ..store.query import find_folder, index
@@ -173,23 +170,17 @@ def spec_of(folder: RunFolder) -> Spec:
     return spec_from_dict(folder.spec())
 
 
-def engine_of(spec: Spec) -> PhysicsEngine | None:
-    """The physics engine of a robot with a task; None of another environment."""
-    settings = spec.environment.settings
-    return ENGINES[settings.engine] if isinstance(settings, RobotTask.Settings) else None
-
-
 def playable(spec: Spec) -> Spec:
     """The spec, with another engine if its own is not installed."""
-    engine = engine_of(spec)
+    engine = engine_of(spec.environment)
     if engine is None or engine.installed:
         return spec
-    return spec.having("environment", engine=installed_one(engine.name))
+    return spec.having("environment", engine=engine.or_another().name)
 
 
 def has_window(spec: Spec) -> bool:
     """Whether the spec's environment can be watched in a window."""
-    engine = engine_of(spec)
+    engine = engine_of(spec.environment)
     return "window" in type(spec.environment.settings).model_fields and (engine is None or "window" in engine.abilities)
 
 
@@ -291,7 +282,6 @@ def signature_of(spec: Spec, *, randomize: bool = False) -> Signature:
         return environment.signature
 
 
-@blaming()
 def expert_policy(environment: Environment) -> Policy:
     """The scripted expert of the environment's task. Raises UsageError if there is none."""
     expert = environment.expert()
@@ -302,19 +292,6 @@ def random_policy(environment: Environment, seed: int) -> Policy:
     """Uniformly random actions from a separate generator under `seed`."""
     generator = SeedTree(seed).child("random policy").generator()
     return Policy(lambda _: np.asarray(random_actions(environment.signature, 1, generator)[0]))
-
-
-def load_expert(spec: Spec, *, window: bool = False) -> tuple[Environment, Policy]:
-    """One environment of the spec without randomization, and the expert of its task.
-
-    Raises UsageError if there is no expert, MachineError if there is no display for the window.
-    """
-    environment = environment_of(spec, window=window)
-    try:
-        return environment, expert_policy(environment)
-    except BaseException:
-        environment.close()
-        raise
 
 
 def environment_of(spec: Spec, *, randomize: bool = False, window: bool = False) -> Environment:

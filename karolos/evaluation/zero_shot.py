@@ -7,6 +7,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
+from ..environments.build import engine_of
 from ..errors import RunError
 from ..files import read_object, write_json, writing
 from ..records import RunFolder, provenance
@@ -18,7 +19,7 @@ from ..records.shipped import is_shipped, results_of
 from ..specification import Spec
 from ..training.assembly import make_orchestrator, use_threads
 from .changed_spec import changed_spec, engine_note
-from .policies import Learned, engine_of, load_agent, playable
+from .policies import Learned, load_agent, playable
 from .testing import play_episodes, test_seeds
 
 REQUEST = "test.json"
@@ -112,7 +113,7 @@ def zero_shot_test(
     """
     saved = load_agent(folder, checkpoint)
     here = playable(saved.spec)
-    if here is not saved.spec and (engine := engine_of(here)):
+    if here is not saved.spec and (engine := engine_of(here.environment)):
         overrides = tuple(dict.fromkeys((f"environment.engine={engine.name}", *overrides)))
     spec = changed_spec(saved.spec, overrides, trained=saved.signature, randomize=randomize)
     if note := engine_note(saved.spec, spec):

@@ -1,1 +1,1 @@
-"""One run: a spec and a seed from an empty folder to the end, with its files, its events and how it resumes."""
+"""One run: a spec and a seed from the checks and an empty folder to the end, with its process, files and events."""

@@ -17,14 +17,13 @@ from ..records import RunFolder, checkpoint
 from ..records.run_folder import renamed
 from ..records.shipped import FOLDER, SHIPPED, shipped_names
 from ..specification import Spec
-from ..training.assembly import located
 
 SETTING = "agent.start_from"
 
 
 def pinned(spec: Spec, runs: Path) -> Spec:
     """The spec with the sha256 of the agent that it starts from. Raises as `find` does, at the setting."""
-    with located(spec):
+    with spec.located():
         start = find(spec, runs)
     return spec if start is None else spec.having("agent", start_sha256=start.sha256)
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from ..errors import MachineError
 from ..files import writing
+from ..records import RunFolder
+from ..records.checkpoint import read_meta
 from ..records.evaluation import Evaluation
 from ..specification.tree import leaves
 from ..training.collecting import Episode
@@ -102,8 +104,8 @@ class TensorBoardWriter:
             self._records.flush()
 
 
-def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> None:
-    """Show a film (GIF) of width and height `size`, of the policy at these environment steps.
+def add_film(folder: RunFolder, name: str, film: bytes, size: tuple[int, int]) -> None:
+    """Show a film (GIF) of width and height `size`, of the policy in the checkpoint `name`.
 
     It gets a subfolder, because TensorBoard reads one growing file per folder.
     Raises MachineError when the file cannot be written.
@@ -115,7 +117,8 @@ def add_film(folder: Path, film: bytes, size: tuple[int, int], steps: int) -> No
     width, height = size
     image = Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=film)
     shown = Summary(value=[Summary.Value(tag="film", image=image)])
-    path = folder / "film" / f"events.out.tfevents.{time.time_ns()}.karolos"
+    steps = read_meta(folder.checkpoints, name)["steps"]
+    path = folder.tensorboard / "film" / f"events.out.tfevents.{time.time_ns()}.karolos"
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("xb") as file:

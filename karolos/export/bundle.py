@@ -29,7 +29,6 @@ from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
 from ..records import RunFolder, provenance
-from ..registry import load
 from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
 from ..robots.protective_stop import ProtectiveStop
@@ -166,7 +165,7 @@ def describe_robot(environment: RobotTask, name: str) -> dict[str, Any]:
         "orientations": {"middle": matrix_of(turns.middle).tolist(), "tilt": turns.tilt, "turn": turns.turn},
         "spring": facts.get("spring"),
     }
-    payload = (load("grippers", gripper).model.mass if gripper else 0.0) + task.held_mass
+    payload = arm.model.gripper_mass + task.held_mass
     return {
         "robot": {"name": name, "gripper": gripper, "payload": payload},
         "kinematics": {"base": list(arm.base), "links": arm.chain.links.tolist(), "damping": arm.chain.damping},

@@ -17,8 +17,9 @@ from ..experiment.signals import StopRequest
 from ..experiment.tracking import Tracking
 from ..files import read_object, write_json, write_whole
 from ..records import provenance
+from ..records.run_folder import LAUNCH, STOP
 from ..specification import Spec
-from .interface import LAUNCH, STOP, Ended, Launcher
+from .interface import Ended, Launcher
 from .local import LocalLauncher
 
 

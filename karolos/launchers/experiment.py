@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import RunError, StoreError
+from ..experiment.check import check_parts
 from ..experiment.continuing import continue_from, continued_spec
 from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
 from ..experiment.run import run_or_resume
@@ -24,7 +25,6 @@ from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..store.query import prepare_index
 from ..system import cores
-from ..training.assembly import check_parts
 from .driver import Driver, make_launcher
 from .runs import Existing, Home, RunJob
 

@@ -7,10 +7,8 @@ from abc import ABC, abstractmethod
 from pathlib import Path
 from typing import ClassVar, NamedTuple
 
-COMMAND = (sys.executable, "-P", "-m", "karolos.launchers.process")
+COMMAND = (sys.executable, "-P", "-m", "karolos.experiment.process")
 """The command of a process. Its arguments are `--cores`, the number of cores, and the folder of a run or a test."""
-LAUNCH, STOP = "launch.json", "stop"
-"""Files in an executed folder. launch.json: software, end or refusal of the process. stop: the reason to stop."""
 
 
 class Ended(NamedTuple):

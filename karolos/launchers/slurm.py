@@ -16,7 +16,8 @@ from typing_extensions import override
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
 from ..files import read_object, write_whole
-from .interface import COMMAND, LAUNCH, STOP, Ended, Launcher
+from ..records.run_folder import LAUNCH, STOP
+from .interface import COMMAND, Ended, Launcher
 
 JOB = "slurm.job"
 """The file in a run's folder with the id of its job."""

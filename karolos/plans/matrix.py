@@ -25,6 +25,7 @@ from ..errors import PluginError, RunError, UsageError
 from ..evaluation.playing import evaluate_alone
 from ..evaluation.policies import expert_policy, random_policy, signature_of
 from ..evaluation.zero_shot import ZeroShotTest
+from ..experiment.check import check_parts
 from ..experiment.events import RunEvent
 from ..experiment.resume import find_run
 from ..experiment.start_from import check_agents, pinned
@@ -35,7 +36,6 @@ from ..records import RunFolder, checkpoint, scan
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict, spec_of_variant
-from ..training.assembly import check_parts, located
 from .plan import Plan
 
 CHECKPOINT = "best"
@@ -128,7 +128,7 @@ class Matrix(Plan):
     @override
     def check(self) -> None:
         jobs = self.jobs or 1
-        with located(self.spec):
+        with self.spec.located():
             signatures = {}
             for label, variant in self.variants.items():
                 try:

@@ -6,18 +6,19 @@ The seed is the unit, and source, target and fine-tuning are paired by it.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from functools import partial
 from itertools import product
-from math import hypot
 from statistics import fmean
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ..comparison import aggregates
 from ..comparison.contenders import Contender
 from ..comparison.curves import places
+from ..comparison.reaching import first_reaching
 from ..comparison.scores import Comparison, Estimate, Reaching, compare, estimate, reaching
 from ..core.seeding import SeedTree
 from ..environments.build import used
@@ -31,9 +32,7 @@ from ..report.comparison_figures import heat_map, titled_curve
 from ..report.figures import HEIGHT, WIDTH, Drawing, file_name, look, short
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, duration, interval_notes, reached, success
-from ..simulation.interface import Camera
-from ..statistics import aggregates, transfer
-from ..statistics.reaching import first_reaching
+from . import transfer
 from .matrix import Matrix, Pair
 
 
@@ -54,8 +53,6 @@ MANY = 6
 """Targets from which on a map has a row for each."""
 PICTURE = 480, 360
 """Size in pixels of the picture of a target."""
-USUAL_REACH = 0.5
-"""Way in m from the base to the tool at home of the arms that a camera shows whole."""
 METRICS = {
     "zero_shot": TransferMetric(
         "Zero-shot success",
@@ -511,12 +508,7 @@ def pictures(found: Matrix, report: TransferReport) -> list[Drawing]:
         with used(environment_of(spec)) as environment:
             environment.reset(spec.testing.final_seed)
             assert isinstance(environment, RobotTask)
-            robot, view = environment.robot, Camera()
-            (x, y, _), (dx, dy, _) = robot.base, np.subtract(robot.tool.position, robot.base).tolist()
-            scale = max(1.0, hypot(dx, dy) / USUAL_REACH)  # a large arm is seen from further away
-            target = x + 0.66 * dx, y + 0.66 * dy, scale * view.target[2]
-            view = replace(view, target=target, distance=scale * view.distance, base=robot.base)
-            image = environment.world.render(*PICTURE, view)
+            image = environment.portrait(*PICTURE)
         cells = [one for one in report.cells if one.target == label and "zero_shot" in one.estimates]
         success = ", ".join(f"from {one.source} {tables.estimate(one.estimates['zero_shot'])}" for one in cells)
         drawing = Drawing(f"arm_{file_name(label)}", label, success)

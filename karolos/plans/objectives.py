@@ -10,13 +10,13 @@ from types import MappingProxyType
 
 import numpy as np
 
+from ..comparison.reaching import first_reaching
 from ..evaluation.policies import signature_of
 from ..launchers.runs import RunJob
 from ..records.evaluation import Evaluation
 from ..specification import Spec
 from ..specification.sweep import MEASURES, Direction
 from ..specification.sweep import directions as directions_of
-from ..statistics.reaching import first_reaching
 
 CENSORED_FACTOR = 2
 """Penalty factor on the steps of a run that never reached the threshold (PAR2)."""

@@ -7,6 +7,7 @@ from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
+from json import dumps
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -16,13 +17,13 @@ import numpy as np
 from ..core import FloatArray, Moment, Step
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
-from ..errors import KarolosError, UsageError, alternatives
+from ..errors import KarolosError, PluginError, UsageError, alternatives
 from ..evaluation.changed_spec import changed_spec
 from ..evaluation.playing import evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
-from ..files import write_whole, writing
+from ..files import INSTALLED, installed_file, write_whole, writing
 from ..orchestrator.worker import isolate
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
@@ -31,6 +32,7 @@ from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, success
 from ..report.video import write_film
 from ..robots.arm import Arm
+from ..robots.from_file import FromFile, proposal_of
 from ..system import cores
 from .matrix_report import targets_table
 
@@ -209,6 +211,27 @@ def score_robot(
         ]
         for task in tasks:
             yield task.result()
+
+
+def file_overrides(file: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
+    """The overrides that name the robot of a URDF, the assumptions about the file, and the robot's name.
+
+    A file that cannot be used as it is gets repaired in a copy.
+
+    Args:
+        file: its path, or installed:PACKAGE/PATH.
+        gripper: at its flange; None: its own hand.
+        mass: of the arm in kg, used if the file needs repair.
+    """
+    path = Path((installed_file(file) if file.startswith(INSTALLED) else None) or file)
+    settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
+    try:
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
+    except PluginError:
+        settings |= {"repair": True} | ({"mass": mass} if mass is not None else {})
+        found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
+    given = [f"robot.{key}={dumps(value)}" for key, value in settings.items()]
+    return ["robot.name=urdf", *given], [*found.notes], path.stem
 
 
 def kept_scores(runs: Path) -> list[dict[str, Any]]:

@@ -12,6 +12,7 @@ from time import monotonic
 from typing_extensions import override
 
 from ..errors import PluginError, UsageError
+from ..experiment.check import check_parts
 from ..experiment.events import RunEvent, RunStarted
 from ..experiment.start_from import pinned
 from ..launchers.experiment import claim
@@ -19,7 +20,6 @@ from ..launchers.runs import RunJob
 from ..records import RunFolder
 from ..specification import Spec, spec_without
 from ..specification.suite import Suite
-from ..training.assembly import check_parts
 from .plan import Plan
 
 START_SECONDS, STEPS_PER_SECOND = 10, 330

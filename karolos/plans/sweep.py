@@ -29,6 +29,7 @@ from typing import Any
 from typing_extensions import override
 
 from ..errors import KarolosError, UsageError
+from ..experiment.check import check_parts
 from ..experiment.events import RunEvent, RunTested, RunWarned
 from ..experiment.signals import StopRequestedError
 from ..experiment.start_from import pinned
@@ -53,7 +54,6 @@ from ..records.sweep_records import (
 )
 from ..specification import Spec, load_spec, spec_from_dict, spec_of_trial, to_yaml
 from ..specification.sweep import DEFAULT_TRIALS
-from ..training.assembly import check_parts
 from .objectives import directions, measure_all, nominal_steps, so_far
 from .plan import Plan
 from .study import OpenTrial, Study

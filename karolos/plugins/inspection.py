@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import Discrete, Layout
+from ..core.parameters import RandomizedParameter
 from ..core.seeding import SeedTree
 from ..environments.robot_task import RobotTask
 from ..errors import UsageError
 from ..evaluation.testing import test_seeds
-from ..randomization.randomization import RandomizedParameter
 from ..registry import blaming, load, names
 from ..robots.arm import Arm
 from ..robots.proposal import doubts

@@ -10,16 +10,13 @@ from typing import Any
 
 from ..core import Array, Environment, FloatArray, Step
 from ..environments.build import build_environment
-from ..environments.robot_task import RobotTask
+from ..environments.robot_task import WRIST, RobotTask
 from ..errors import UsageError
-from ..simulation.interface import Camera
 from ..specification.parts import Recipe
-from .playing import WithExpert, build_with_expert
+from .playing import WithExpert, build_recorded
 
 CAMERAS = ("front", "wrist")
 """front: the camera of the task's films. wrist: behind and above the tool; it moves with the tool, without turning."""
-WRIST = Camera(distance=0.3, yaw=-90.0, pitch=-55.0, field_of_view=60.0)
-"""The target is the tool."""
 
 
 class Filmed(Environment):
@@ -39,9 +36,7 @@ class Filmed(Environment):
         self, environment: Environment, folder: Path, cameras: tuple[str, ...], size: tuple[int, int], rate: int
     ) -> None:
         world = environment.environment if isinstance(environment, WithExpert) else environment
-        if not isinstance(world, RobotTask):
-            raise UsageError("only a robot with a task has cameras", hint="leave out --camera")
-        self._environment, self._world = environment, world
+        self._environment, self._world = environment, _with_cameras(world)
         self._folder, self._cameras, self._size, self._rate = folder, cameras, size, rate
         self._films: dict[str, Any] = {}
         self.signature, self.rate = environment.signature, environment.rate
@@ -84,12 +79,18 @@ class Filmed(Environment):
         self._environment.close()
 
 
+def _with_cameras(environment: Environment) -> RobotTask:
+    """The environment, if it has cameras. Raises UsageError otherwise."""
+    if not isinstance(environment, RobotTask):
+        raise UsageError("only a robot with a task has cameras", hint="leave out --camera")
+    return environment
+
+
 def build_filmed(
     recipe: Recipe, *, expert: bool, folder: Path, cameras: tuple[str, ...], size: tuple[int, int], rate: int
 ) -> Filmed:
     """The environment of a recipe, with or without its expert, filmed. Raises as `build_environment`."""
-    environment = build_with_expert(recipe) if expert else build_environment(recipe)
-    return Filmed(environment, folder, cameras, size, rate)
+    return Filmed(build_recorded(recipe, expert=expert), folder, cameras, size, rate)
 
 
 def _film(path: Path, size: tuple[int, int], rate: int) -> Iterator[None]:
@@ -104,10 +105,10 @@ def _film(path: Path, size: tuple[int, int], rate: int) -> Iterator[None]:
 def poses(recipe: Recipe, names: tuple[str, ...], size: tuple[int, int]) -> dict[str, dict[str, Any]]:
     """Description of each camera: size in pixels, lengths in m, angles in degrees.
 
-    Raises UsageError for a name that is not in CAMERAS.
+    Raises UsageError for a name that is not in CAMERAS, and if the environment has no cameras.
     """
     with closing(build_environment(recipe)) as environment:
-        front = environment.camera if isinstance(environment, RobotTask) else Camera()
+        front = _with_cameras(environment).camera
     if unknown := set(names) - set(CAMERAS):
         raise UsageError(f"there is no camera {min(unknown)!r}", hint=f"there are {' and '.join(CAMERAS)}")
     of = {"front": asdict(front), "wrist": {**asdict(WRIST), "target": "tool"}}

@@ -2,31 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from math import isfinite
-from statistics import fmean
+from collections.abc import Mapping
 from typing import Any
 
-from ..statistics.intervals import wilson
-from .recording import Played, column_names
-
-
-def outcome(played: Sequence[Played]) -> dict[str, Any]:
-    """Number of episodes that were played, kept and successful."""
-    successes = sum(one.success for one in played)
-    low, high = wilson(successes, len(played))
-    means = {}
-    for name in sorted({name for one in played for name in one.measures}):
-        means[name] = fmean(one.measures[name] for one in played if name in one.measures)
-    return {
-        "played": len(played),
-        "successes": successes,
-        "success_interval": [low, high],
-        "kept": sum(one.kept for one in played),
-        "failed_and_left_out": sum(not (one.kept or one.diverged) for one in played),
-        "diverged_and_left_out": sum(one.diverged for one in played),
-        "measures": {name: mean for name, mean in means.items() if isfinite(mean)},
-    }
+from .recording import column_names
 
 
 def card(about: Mapping[str, Any]) -> str:

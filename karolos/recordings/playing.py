@@ -62,9 +62,10 @@ class WithExpert(Environment):
         self.environment.close()
 
 
-def build_with_expert(recipe: Recipe) -> WithExpert:
-    """The environment of a recipe, with its expert. Raises as `build_environment`."""
-    return WithExpert(build_environment(recipe))
+def build_recorded(recipe: Recipe, *, expert: bool) -> Environment:
+    """The environment of a recipe, with or without its expert. Raises as `build_environment`."""
+    environment = build_environment(recipe)
+    return WithExpert(environment) if expert else environment
 
 
 def expert_act(signature: Signature) -> Act:
@@ -82,7 +83,7 @@ class Recorder:
     environments nor an interruption changes it.
 
     Args:
-        seeds: root of the seeds of episodes and noise.
+        seed: root of the seeds of episodes and noise.
         folder: begun; episodes that it holds are not played again.
         only_success: keep only episodes whose goal is reached at the last step.
         noise: standard deviation of Gaussian noise on continuous actions.
@@ -93,7 +94,7 @@ class Recorder:
 
     environments: Orchestrator
     act: Act
-    seeds: SeedTree
+    seed: int
     folder: RecordingFolder
     episodes: int
     only_success: bool = False
@@ -104,6 +105,9 @@ class Recorder:
     _steps: dict[int, list[Step]] = field(default_factory=dict, init=False)
     """Steps of the running episode of each environment, beginning with its reset."""
     _actions: dict[int, list[FloatArray]] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self._seeds = SeedTree(self.seed).child("dataset")
 
     def run(self) -> list[Played]:
         """Play until enough episodes are kept. Returns all played episodes, in order.
@@ -136,7 +140,7 @@ class Recorder:
         return played
 
     def _begin(self, environment: int, episode: int) -> None:
-        seed = self.seeds.child("episode", episode).integer()
+        seed = self._seeds.child("episode", episode).integer()
         self.environments.reset([environment], [seed])
         self._steps[environment], self._actions[environment] = [], []
 
@@ -152,7 +156,7 @@ class Recorder:
             if step.terminated or step.truncated:
                 over.append(environment)
                 continue
-            node = self.seeds.child("noise", episode[environment], len(self._actions[environment]))
+            node = self._seeds.child("noise", episode[environment], len(self._actions[environment]))
             action = self._varied(np.asarray(self.act(step), np.float32), node)
             self._actions[environment].append(action)
             ready.append(environment)
@@ -175,7 +179,7 @@ class Recorder:
         steps, actions = self._steps[environment], self._actions[environment]
         columns = Step(*(np.stack(column) for column in zip(*steps, strict=True)))
         observed = columns.observation[:, : columns.observation.shape[1] - self.hidden]
-        seed = self.seeds.child("episode", index).integer()
+        seed = self._seeds.child("episode", index).integer()
         recording = Recording(
             observed,
             columns.achieved_goal,

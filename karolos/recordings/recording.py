@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
-from ..environments.build import Facts
+from ..environments.build import Facts, opened
 from ..errors import MachineError, UsageError
 from ..files import append_lines, read_lines, read_object, write_json, writing
+from ..specification.parts import Recipe
 
 FORMAT = 1
 DESCRIPTION, EPISODES, FILES = "recording.json", "episodes.jsonl", "episodes"
@@ -76,8 +77,16 @@ class Played:
     """Measures by name, without undefined ones."""
 
 
-def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
-    """Meaning of the numbers of a recording, as JSON-able data; `about` says its origin."""
+def describe(recipe: Recipe, about: Mapping[str, Any]) -> dict[str, Any]:
+    """Meaning of the numbers of a recording, as JSON-able data.
+
+    Args:
+        recipe: of the environment. The first line of its task's docstring becomes `task`.
+        about: origin of the recording.
+    """
+    with opened(recipe) as environment:
+        facts = Facts.of(environment)
+        doc = (type(getattr(environment, "task", environment)).__doc__ or "").strip().splitlines()
     signature = facts.signature
     return {
         "format": FORMAT,
@@ -87,6 +96,7 @@ def describe(facts: Facts, about: Mapping[str, Any]) -> dict[str, Any]:
         "base": facts.base,
         "max_steps": signature.max_steps,
         **about,
+        **({"task": doc[0].removeprefix("What to do: ").capitalize()} if doc else {}),
     }
 
 

@@ -18,8 +18,8 @@ from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
 from ..files import parse_object
-from ..statistics.intervals import wilson
 from .decode import from_json
+from .intervals import wilson
 
 Count = Annotated[int, Field(ge=0, lt=1 << 63)]
 """A number that databases can store."""

@@ -54,6 +54,8 @@ from .run_records import (
 LOCK_SECONDS = 0.5
 """Time that a run waits for its lock. A reader that checks whether the run is alive holds it for an instant."""
 TESTS, FINAL, TRANSFERS = "tests.jsonl", "final.jsonl", "transfers.jsonl"
+LAUNCH, STOP = "launch.json", "stop"
+"""Files in an executed folder. launch.json: software, end or refusal of the process. stop: the reason to stop."""
 ROBOT = "robot"
 """Folder of the copies of an arm's file and its meshes, which a run of the robot `urdf` reads."""
 STAGE_EPISODES, EPISODE_BYTES = 500, 1000
@@ -75,8 +77,8 @@ class RunFolder:
         self.checkpoints = path / "checkpoints"
         self.tensorboard = path / "tensorboard"
         self.progress = path / "progress.json"
-        self.stop = path / "stop"
-        self.launch = path / "launch.json"
+        self.stop = path / STOP
+        self.launch = path / LAUNCH
         self._lock = FileLock(path / "lock")
         self._run: dict[str, Any] = {}
         self._locked_at: float | None = None

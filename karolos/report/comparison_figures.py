@@ -9,13 +9,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from ..comparison import Comparison, Contender, Estimate, learning_curve
+from ..comparison import Comparison, Contender, Estimate, aggregates, learning_curve
 from ..comparison.conditions import conditions, final_values
 from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..errors import UsageError, alternatives
 from ..records.run_records import Metric
-from ..statistics import aggregates
 from .figures import COLOURS, Drawing, file_name, look, short, style
 from .tables import decimal, estimate, heading
 

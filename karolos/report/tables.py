@@ -13,7 +13,7 @@ from functools import partial
 from statistics import fmean, median
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from ..statistics.intervals import wilson
+from ..records.intervals import wilson
 
 if TYPE_CHECKING:
     from ..comparison.scores import Comparison, Estimate, Reaching, Scores

@@ -15,9 +15,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from ..core import Field, FloatArray, Layout, Measure
+from ..core.parameters import RandomizedParameter, drawn_settings
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import RandomizedParameter, drawn_settings
 from ..simulation import urdf
 from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_of
 from ..simulation.interface import OPENS, Ability, Body, Cup, Gripper, JointLimits, TaskNeeds, World

@@ -80,6 +80,8 @@ class ArmModel:
     """A control step takes at most one part in `steps_down` of the way down to the lower end of the workspace."""
     mount: Mount | None = None
     """The gripper at the flange. `mounting.mounted` sets it."""
+    gripper_mass: float = 0.0
+    """Mass of the gripper at the flange in kg. `mounting.mounted` sets it."""
 
     @property
     def description(self) -> Description:

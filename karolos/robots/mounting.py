@@ -62,6 +62,7 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
         fingers=fingers,
         cup=gripper.cup,
         mount=mount,
+        gripper_mass=gripper.mass,
         self_collisions=_pairs(model, links),
         tool_rpy=model.tool_rpy if own else flange.rpy,
     )

@@ -9,9 +9,9 @@ from pydantic import Field as Setting
 from pydantic_core import PydanticCustomError
 
 from ..core import Settings
+from ..core.parameters import Drawn
 from ..core.settings import LATER
 from ..errors import UsageError
-from ..randomization.randomization import Drawn
 from ..registry import find
 from ..simulation.interface import ControlMode
 from .protective_stop import ProtectiveStop

@@ -39,6 +39,10 @@ class PhysicsEngine(NamedTuple):
         """Whether it can show a world in a window on this machine."""
         return "window" in self.abilities and has_display()
 
+    def or_another(self) -> PhysicsEngine:
+        """This engine; another one if it is not installed."""
+        return next((engine for engine in (self, *ENGINES.values()) if engine.installed), self)
+
     def check(self, needs: Mapping[str, Ability]) -> None:
         """Raise UsageError when the engine is not installed, or lacks an ability that a setting needs."""
         if not self.installed:
@@ -61,11 +65,6 @@ class PhysicsEngine(NamedTuple):
 MUJOCO = PhysicsEngine("mujoco", "mujoco", "mujoco-core", frozenset({"impedance", "suction", "materials"}))
 BULLET = PhysicsEngine("bullet", "pybullet", "pybullet", frozenset({"window"}))
 ENGINES: dict[Engine, PhysicsEngine] = {"mujoco": MUJOCO, "bullet": BULLET}
-
-
-def installed_one(wanted: Engine) -> Engine:
-    """The wanted engine; another one if it is not installed."""
-    return next((name for name in (wanted, *ENGINES) if ENGINES[name].installed), wanted)
 
 
 def make_world(engine: Engine, **settings: Any) -> World:

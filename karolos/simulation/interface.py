@@ -19,7 +19,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from ..core import Array, Expert, FloatArray, Generator, GoalRule, Layout, Measure
-from ..randomization.randomization import RandomizedParameter, drawn_settings
+from ..core.parameters import RandomizedParameter, drawn_settings
 from .geometry import UPRIGHT, Colour, Orientations, Quaternion, Vector
 from .geometry import Box as Box  # noqa: PLC0414  (plugins import it from here)
 from .kinematics import Configuration, Pose

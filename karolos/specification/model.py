@@ -5,6 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -13,7 +15,9 @@ from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_valid
 from pydantic import Field as Setting
 
 from ..core import Settings
+from ..errors import KarolosError, UsageError, described
 from ..files import fingerprint, is_portable
+from ..registry import blaming
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep, Transfer
 from .tree import PARTS
@@ -34,7 +38,8 @@ Name = Annotated[str, StringConstraints(pattern=NAME_PATTERN), AfterValidator(_p
 PARAMETER_PATTERN = r"^(robot|task)\.[A-Za-z_][A-Za-z0-9_]*$"
 """Parameters for randomization, e.g. task.gravity."""
 
-
+TOGETHER = ("robot.", "task.", "environment.", "agent.", "buffer.")
+"""Prefixes of settings that must fit together."""
 MAX_THREADS = 1024
 
 
@@ -335,6 +340,45 @@ class Spec(Settings):
         """The recipe of one environment, with or without randomization."""
         drawn = tuple(sorted(self.randomization.items())) if randomize else ()
         return Recipe(self.environment, self.robot, self.task, drawn)
+
+    @contextmanager
+    def located(self) -> Iterator[None]:
+        """Add to an error the place of its setting or plugin: file:line:column, or the override."""
+        try:
+            yield
+        except KarolosError as error:
+            parts = ((key, getattr(self, key)) for key in PARTS)
+            named = next((key for key, part in parts if part and (part.kind, part.name) == error.plugin), None)
+            if named is not None and error.setting is None:
+                error.setting, error.what = f"{named}.name", ": ".join(filter(None, (error.where, error.what)))
+                error.where = None
+            error.where = self._origin(error.setting) or error.where
+            raise
+
+    @contextmanager
+    def making(self, key: str) -> Iterator[None]:
+        """Turn an error of the constructor of the part's plugin into a UsageError that names it, or a PluginError."""
+        try:
+            with blaming():
+                yield
+        except KarolosError:
+            raise
+        except (Exception, SystemExit) as error:  # a plugin may raise anything
+            what = f"{key} {getattr(self, key).name!r} cannot be made: {described(error)}"
+            raise UsageError(what, setting=f"{key}.name") from error
+
+    def _origin(self, path: str | None) -> str | None:
+        """Place at which the setting `path`, or the first one below it, or its part was set. None for default parts."""
+        if path is None:
+            return None
+        part = path.partition(".")[0]  # the part holds a setting that was not set
+        near = [key for one in (path, part) for key in self._origins if key == one or key.startswith(f"{one}.")]
+        place = next((self._origins[key] for key in near if self._origins[key] != "default"), None)
+        if place is None or place.startswith("override "):
+            return place
+        changed = {origin for key, origin in self._origins.items() if key.startswith(TOGETHER)}  # may be contradicted
+        overrides = sorted(origin for origin in changed if origin.startswith("override "))
+        return f"{place} with {' and '.join(overrides)}" if overrides else place
 
     def __eq__(self, other: object) -> bool:
         return self.dump() == other.dump() if isinstance(other, Spec) else NotImplemented

@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from ..core.settings import without_later
 from ..errors import recorded
-from ..registry import load
+from ..registry import find, load
 from .tree import leaves
 
 _SIZE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
@@ -59,6 +59,11 @@ class Part:
     def plugin(self) -> Any:
         """The plugin's class. Raises as `registry.load`."""
         return load(self.kind, self.name)
+
+    @property
+    def is_foreign(self) -> bool:
+        """Whether another distribution than karolos provides the plugin."""
+        return find(self.kind, self.name).distribution != "karolos"
 
     def make(self, *given: Any, **more: Any) -> Any:
         """An instance of the plugin: its class is called with the settings and the given arguments."""

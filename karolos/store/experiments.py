@@ -19,7 +19,7 @@ from sqlalchemy import select
 
 from ..errors import StoreError, UsageError, alternatives
 from ..records.run_records import RunSummary
-from ..statistics.density import Density, kde
+from .density import Density, kde
 from .store import Store, summaries
 from .tables import RUNS, SPECS, SUCCESSES, TESTS, put
 

@@ -10,8 +10,8 @@ from pydantic import Field as Setting
 
 from ..core import Field, FloatArray, Generator, Layout
 from ..core import Settings as BaseSettings
+from ..core.parameters import Drawn
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import Drawn
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Ability, Box, Cup, Gripper, Material, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Shape

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure, Settings
+from ..core.parameters import Drawn, Probability
 from ..errors import PluginError, UsageError
-from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of

@@ -11,7 +11,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
 from ..core import Settings as BaseSettings
-from ..randomization.randomization import Drawn, Probability
+from ..core.parameters import Drawn, Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.parts import Link, mechanism

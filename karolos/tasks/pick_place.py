@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
-from ..randomization.randomization import Probability
+from ..core.parameters import Probability
 from ..simulation.interface import Box, Cup, RobotView
 from .cube import Carrier, CarryTask, CubeSettings, check_gripper, ground
 from .point_goal import PointGoal, PointGoalSettings, PointGoalTask, sample_position

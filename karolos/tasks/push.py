@@ -7,7 +7,7 @@ from math import cos, hypot, pi, sin
 import numpy as np
 
 from ..core import Expert, Field, FloatArray, Generator, Layout
-from ..randomization.randomization import Probability
+from ..core.parameters import Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import LOST_DISTANCE, CubeSettings, CubeTask, aligned, braking, drift, ground

@@ -8,9 +8,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field as Setting
 
 from ..core import Expert, FloatArray, Generator, Layout
+from ..core.parameters import Drawn, Probability
 from ..core.settings import LATER
 from ..errors import UsageError
-from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import (
     UPRIGHT,
     Box,

@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure
+from ..core.parameters import Drawn, Probability
 from ..errors import UsageError
-from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import FLOOR_FRICTION, GRAVITY, Box, Camera, Cup, RobotView, World
 from ..simulation.shapes import Cylinder, Shape

@@ -10,8 +10,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Expert, Field, FloatArray, Generator, Layout, Measure
+from ..core.parameters import Probability
 from ..errors import UsageError
-from ..randomization.randomization import Probability
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import CUBE_COLOUR, HOVER_HEIGHT, Carrier, CarryTask, CubeSettings, aligned, check_gripper, fields, ground

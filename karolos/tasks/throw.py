@@ -9,8 +9,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalRule, Layout, Measure
+from ..core.parameters import Drawn, Probability
 from ..errors import UsageError
-from ..randomization.randomization import Drawn, Probability
 from ..simulation.geometry import Vector, axes
 from ..simulation.interface import GRAVITY, Box, Camera, RobotView, Stroke, World
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper, check_pads

@@ -8,9 +8,10 @@ import pytest
 
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.testing import play_episodes, test_seeds
+from karolos.experiment.check import check_parts
 from karolos.registry import load, names
 from karolos.specification import Spec, spec_from_dict
-from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.training.assembly import make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
 SHIPPED = ("sac", "td3", "ddpg", "dqn", "ppo")

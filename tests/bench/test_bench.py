@@ -19,10 +19,10 @@ from karolos.core.seeding import SeedTree
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import MachineError, UsageError
 from karolos.evaluation.testing import test_seeds as episode_seeds
+from karolos.experiment.check import check_parts
 from karolos.plugins.inspection import pair
-from karolos.simulation.engines import installed_one
+from karolos.simulation.engines import BULLET
 from karolos.specification import load_spec
-from karolos.training.assembly import check_parts
 
 ROOT = Path(__file__).parents[2]
 COLUMNS = ["benchmark", "case", "value", "unit", "peer", "peer_value", "ratio", "ratio_min", "ratio_max"]
@@ -52,7 +52,7 @@ def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.Ca
 @pytest.mark.usefixtures("real_processes")
 def test_what_libraries_print_does_not_reach_standard_output() -> None:
     command = [sys.executable, "-m", "bench", "environment", "--control", "joint", "--seconds", "0.1"]
-    command += ["--engine", installed_one("bullet")]  # PyBullet prints when it is imported
+    command += ["--engine", BULLET.or_another().name]  # PyBullet prints when it is imported
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
     assert done.stdout.startswith("benchmark    case")
     assert len(done.stdout.splitlines()) == 4

@@ -74,7 +74,7 @@ def test_a_wrong_choice_is_told_without_the_class_of_the_error(monkeypatch: pyte
     assert "Invalid value for '--checkpoint': 'bst' is not one of 'best', 'last'." in said
 
 
-@pytest.mark.parametrize(("module", "last"), [("karolos_cli", "typer"), ("karolos.launchers.process", "pydantic")])
+@pytest.mark.parametrize(("module", "last"), [("karolos_cli", "typer"), ("karolos.experiment.process", "pydantic")])
 def test_ctrl_c_while_libraries_are_imported_is_one_line(module: str, last: str) -> None:
     code = (
         "import builtins, runpy, signal\nreal = builtins.__import__\n"

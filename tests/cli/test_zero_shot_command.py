@@ -13,8 +13,8 @@ from support.commands import call
 from support.toy_runs import run_of, toy
 from typer import Typer
 
+from karolos.records.intervals import wilson
 from karolos.report.tables import success
-from karolos.statistics.intervals import wilson
 
 pytestmark = pytest.mark.xdist_group(__name__)
 

@@ -14,10 +14,10 @@ from karolos.comparison import Contender, Estimate, compare
 from karolos.comparison.scores import estimate as estimate_of
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
+from karolos.plans.transfer import median_time_ratio
+from karolos.records.intervals import wilson
 from karolos.records.run_records import RunRecord
 from karolos.report.tables import compared_measures_table, estimate, verdict
-from karolos.statistics.intervals import wilson
-from karolos.statistics.transfer import median_time_ratio
 
 FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 

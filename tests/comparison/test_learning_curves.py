@@ -6,11 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from support.compared_runs import contender, run
 
+from karolos.comparison import aggregates
 from karolos.comparison.curves import POINTS, along, densities, learning_curve
 from karolos.core.seeding import SeedTree
-from karolos.statistics import aggregates
-from karolos.statistics.density import integral
-from karolos.statistics.intervals import wilson
+from karolos.records.intervals import wilson
+from karolos.store.density import integral
 
 
 def generator() -> np.random.Generator:

@@ -18,14 +18,12 @@ from karolos.core.seeding import SeedTree
 from karolos.environments.gymnasium.export import GoalEnv
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, NoSuchRunError, RunError, SpecError, UsageError
-from karolos.evaluation.changed_spec import load_player
-from karolos.evaluation.playing import play
+from karolos.evaluation.playing import load_expert, load_player, play
 from karolos.evaluation.policies import (
     SavedAgent,
     expert_policy,
     has_window,
     load_agent,
-    load_expert,
     random_policy,
     signature_of,
 )
@@ -52,26 +50,30 @@ def reach(**changes: Any) -> Spec:
 
 def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
     gravity = {"task.gravity": {"name": "normal", "mean": -9.81, "std": 1.0}}
-    environment, policy = load_expert(reach(randomization=gravity))
-    assert environment.signature.parameters.size == 0
-    ends = [moment.success for moment in play(environment, policy, episodes=3, seed=0) if moment.over]
-    environment.close()
+    with load_expert(reach(randomization=gravity)) as player:
+        assert player.environment.signature.parameters.size == 0
+        moments = play(player.environment, player.policy, episodes=3, seed=0)
+        ends = [moment.success for moment in moments if moment.over]
     assert ends == [True, True, True]
 
 
 def test_an_environment_without_a_task_has_no_expert() -> None:
-    with pytest.raises(UsageError, match="there is no expert for this environment"):
-        load_expert(spec_from_dict(TOY))
+    with pytest.raises(UsageError, match="there is no expert for this environment"), load_expert(spec_from_dict(TOY)):
+        pass
     with pytest.raises(UsageError, match="tasks have experts"):
         expert_policy(Toy(Toy.Settings()))
 
 
 def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
-    with pytest.raises(MachineError, match="environment toy has no window"):
-        load_expert(spec_from_dict(TOY), window=True)
+    with (
+        pytest.raises(MachineError, match="environment toy has no window"),
+        load_expert(spec_from_dict(TOY), window=True),
+    ):
+        pass
     monkeypatch.delenv("DISPLAY", raising=False)
-    with pytest.raises(MachineError, match="no display"):
-        load_expert(reach(environment={"name": "robot_task", "engine": "bullet"}), window=True)
+    bullet = reach(environment={"name": "robot_task", "engine": "bullet"})
+    with pytest.raises(MachineError, match="no display"), load_expert(bullet, window=True):
+        pass
     assert [has_window(one) for one in (spec_from_dict(TOY), reach())] == [False, False]
 
 
@@ -97,10 +99,10 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
 
 def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder: RunFolder) -> None:
     def totals() -> list[float]:
-        player = load_player(folder, "last")
-        assert (player.spec.name, player.note) == ("toy", None)
-        seed = player.spec.testing.seed
-        return [moment.total for moment in play(player.environment, player.policy, episodes=2, seed=seed)]
+        with load_player(folder, "last") as player:
+            assert (player.spec.name, player.note) == ("toy", None)
+            seed = player.spec.testing.seed
+            return [moment.total for moment in play(player.environment, player.policy, episodes=2, seed=seed)]
 
     assert totals() == totals()
     assert len(set(totals())) > 8, "the point moves"
@@ -119,8 +121,8 @@ def test_a_number_that_is_not_finite_is_refused_by_its_name(folder: RunFolder, t
 
 
 def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:
-    with pytest.raises(RunError, match="never"):
-        load_player(folder, "never")
+    with pytest.raises(RunError, match="never"), load_player(folder, "never"):
+        pass
 
 
 @pytest.mark.parametrize("lost", ["part", "key", "steps"])

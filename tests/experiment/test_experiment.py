@@ -15,13 +15,13 @@ from support.states import assert_same_state
 from support.toy_runs import toy
 
 from karolos.errors import MachineError, RunError, StoreError, UsageError
+from karolos.experiment.check import check_parts
 from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, checkpoint
 from karolos.report.tables import runs_table
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store
-from karolos.training.assembly import check_parts
 
 pytestmark = pytest.mark.xdist_group(__name__)
 

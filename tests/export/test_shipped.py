@@ -12,8 +12,10 @@ from support.commands import call
 
 import karolos
 from karolos.core.seeding import SeedTree
-from karolos.evaluation.changed_spec import changed_spec, load_player
-from karolos.evaluation.policies import engine_of, load_agent, signature_of
+from karolos.environments.build import engine_of
+from karolos.evaluation.changed_spec import changed_spec
+from karolos.evaluation.playing import load_player
+from karolos.evaluation.policies import load_agent, signature_of
 from karolos.evaluation.testing import play_episodes
 from karolos.evaluation.testing import test_seeds as episode_seeds
 from karolos.evaluation.zero_shot import zero_shot_test
@@ -75,16 +77,14 @@ def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_play
     done = zero_shot_test(folder, [] if missing else changed, episodes=2, on_warning=told.append)
     assert done.overrides == tuple(changed)
     assert done.own.success_end == done.success_end == 1.0
-    player = load_player(folder, overrides=[] if missing else changed)
-    player.environment.close()
-    assert told == [player.note]
+    with load_player(folder, overrides=[] if missing else changed) as player:
+        assert told == [player.note]
     assert told[0].startswith(f"the policy learned in the engine {own}")
     assert ("not installed" in told[0], told[0].endswith(other)) == (missing, True)
-    assert engine_of(load_agent(folder).spec) == ENGINES[own], "the saved policy names its own engine"
+    assert engine_of(load_agent(folder).spec.environment) == ENGINES[own], "the saved policy names its own engine"
     if not missing:
-        player = load_player(folder)
-        player.environment.close()
-        assert (player.note, engine_of(player.spec)) == (None, ENGINES[own])
+        with load_player(folder) as player:
+            assert (player.note, engine_of(player.spec.environment)) == (None, ENGINES[own])
     assert not (folder.path / "transfers.jsonl").exists()
 
 

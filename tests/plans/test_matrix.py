@@ -15,11 +15,10 @@ from support.processes import killed_when
 from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.errors import RunError, SpecError, UsageError
-from karolos.launchers.interface import STOP
 from karolos.plans.matrix import Matrix
 from karolos.plans.matrix_report import transfer_report
 from karolos.records import RunFolder, provenance
-from karolos.records.run_folder import TRANSFERS
+from karolos.records.run_folder import STOP, TRANSFERS
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check
 

@@ -27,8 +27,8 @@ from karolos.plans.matrix_report import (
     transfer_report,
     variants_table,
 )
-from karolos.statistics.intervals import wilson
-from karolos.statistics.transfer import forward_transfer
+from karolos.plans.transfer import forward_transfer
+from karolos.records.intervals import wilson
 
 pytestmark = pytest.mark.xdist_group("transfer")
 

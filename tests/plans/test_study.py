@@ -9,11 +9,11 @@ from support import run_samples
 from support.sweep_samples import LEARNING_RATE, sweep_spec
 
 from karolos.errors import UsageError
+from karolos.experiment.check import check_parts
 from karolos.plans.objectives import directions, measure, nominal_steps, so_far
 from karolos.plans.study import STARTUP_TRIALS, Study
 from karolos.records.evaluation import Evaluation
 from karolos.specification import spec_from_dict
-from karolos.training.assembly import check_parts
 
 CONDITIONAL = {
     **LEARNING_RATE,

@@ -6,10 +6,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pydantic import ValidationError
 
+from karolos.core.parameters import RandomizedParameter
 from karolos.core.seeding import Generator
 from karolos.errors import RunError, UsageError
 from karolos.randomization.distributions import Choice, LogUniform, Normal, UniformDistribution
-from karolos.randomization.randomization import Randomization, RandomizedParameter
+from karolos.randomization.randomization import Randomization
 
 DECLARED = {
     "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),

@@ -14,11 +14,11 @@ import pytest
 from support.datasets import COLUMNS, REACH, facts, foreign, lerobot, record
 
 from karolos.errors import UsageError
+from karolos.experiment.check import check_parts
 from karolos.launchers.experiment import Experiment
 from karolos.recordings.reading import read_recordings
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
-from karolos.training.assembly import check_parts
 
 DATA, EPISODES, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
 Damage = Callable[[Path], object]

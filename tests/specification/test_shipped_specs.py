@@ -8,10 +8,10 @@ from jsonschema import Draft202012Validator
 from support.spec_files import problems_of, write
 
 from karolos.errors import SpecError, UsageError
+from karolos.experiment.check import check_parts
 from karolos.specification import load_spec, spec_from_dict
 from karolos.specification.files import read, shipped_text
 from karolos.specification.schema import spec_schema
-from karolos.training.assembly import check_parts
 
 SPECS = Path(__file__).parents[2] / "specs"
 SUITES = [SPECS / "all_tasks.yaml", SPECS / "smoke" / "toy_suite.yaml"]

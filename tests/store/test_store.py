@@ -21,9 +21,9 @@ from karolos.errors import MachineError, NoSuchRunError, StoreError, UsageError
 from karolos.records import RunFolder, labels
 from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunSummary
-from karolos.statistics.density import kde
 from karolos.store import Store, query
 from karolos.store.database import explained
+from karolos.store.density import kde
 from karolos.store.experiments import success_densities
 from karolos.store.tables import SCHEMA, SUCCESSES
 

@@ -11,11 +11,10 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from karolos.core.seeding import SeedTree
 from karolos.environments.build import Facts, opened
 from karolos.orchestrator.local import Local
 from karolos.recordings.lerobot import write_lerobot
-from karolos.recordings.playing import Recorder, build_with_expert
+from karolos.recordings.playing import Recorder, build_recorded
 from karolos.recordings.recording import RecordingFolder, describe
 from karolos.specification import spec_from_dict
 from karolos.specification.parts import Recipe
@@ -48,12 +47,12 @@ def facts(recipe: Recipe = RECIPE) -> Facts:
 def record(path: Path, episodes: int = 3, environments: int = 2, **how: Any) -> RecordingFolder:
     """Record the expert in our own format."""
     folder = RecordingFolder(path)
-    folder.begin(describe(facts(), {"title": "reach", "task": "Reach.", "robot": "panda", "policy": "expert"}))
+    folder.begin(describe(RECIPE, {"title": "reach", "task": "Reach.", "robot": "panda", "policy": "expert"}))
     settings = Local.Settings(processes=0, environments=environments)
-    with Local(settings, partial(build_with_expert, RECIPE)) as orchestrator:
+    with Local(settings, partial(build_recorded, RECIPE, expert=True)) as orchestrator:
         size = orchestrator.signature.action.size
         act = lambda step: step.observation[-size:]  # noqa: E731
-        Recorder(orchestrator, act, SeedTree(0), folder, episodes, hidden=size, **{"noise": 0.1, **how}).run()
+        Recorder(orchestrator, act, 0, folder, episodes, hidden=size, **{"noise": 0.1, **how}).run()
     return folder
 
 

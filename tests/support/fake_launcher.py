@@ -3,8 +3,8 @@
 from collections import deque
 from pathlib import Path
 
+from karolos.experiment.process import execute_folder
 from karolos.launchers.interface import Ended, Launcher
-from karolos.launchers.process import execute_folder
 
 
 class FakeLauncher(Launcher):

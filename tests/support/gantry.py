@@ -7,9 +7,9 @@ import numpy as np
 from pydantic import BaseModel
 
 from karolos.core import Field, FloatArray, Layout
+from karolos.core.parameters import RandomizedParameter
 from karolos.core.seeding import Generator
 from karolos.errors import PluginError, UsageError
-from karolos.randomization.randomization import RandomizedParameter
 from karolos.simulation.geometry import Box, Orientations, Vector
 from karolos.simulation.interface import Ability, Body, Gripper, JointLimits, TaskNeeds, World
 from karolos.simulation.kinematics import Configuration, Pose

@@ -13,9 +13,10 @@ from support.states import assert_same_state
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, PluginError, UsageError
+from karolos.experiment.check import check_parts
 from karolos.specification import load_spec, spec_from_dict
 from karolos.system import memory
-from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
+from karolos.training.assembly import make_agent, make_buffer, make_orchestrator
 from karolos.training.training import Training
 
 
@@ -97,7 +98,7 @@ def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
     case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     text, expected = NEEDS_MEMORY[case]
-    monkeypatch.setattr("karolos.training.assembly.memory", lambda: 10_000_000_000)
+    monkeypatch.setattr("karolos.experiment.check.memory", lambda: 10_000_000_000)
     agent = "{name: sac, hidden: [30000, 30000]}" if case == "networks" else "sac"
     steps = "{name: toy, max_steps: 1e5}" if case == "episodes" else "toy"
     path = tmp_path / "s.yaml"
@@ -107,7 +108,7 @@ def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
 
 
 def test_runs_at_the_same_time_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("karolos.training.assembly.memory", lambda: 10_000_000_000)
+    monkeypatch.setattr("karolos.experiment.check.memory", lambda: 10_000_000_000)
     spec = spec_from_dict({"environment": "toy", "agent": "sac", "buffer": {"capacity": 1e8}})
     check_parts(spec)
     with pytest.raises(UsageError, match=r"needs 6\.4 GB of memory \(2 runs at the same time: 12\.9 GB\), and"):

@@ -7,11 +7,11 @@ import pytest
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
+from karolos.experiment.check import check_parts
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 from karolos.specification.model import DemonstrationSettings
-from karolos.training.assembly import check_parts
 from karolos.training.demonstrations import collect_demonstrations
 
 REACH: dict[str, Any] = {

@@ -22,11 +22,11 @@ from typer import Typer
 from karolos.errors import MachineError
 from karolos.records import RunFolder, labels
 from karolos.records.sweep_records import FOLDER
+from karolos.report.ui.app import Application
+from karolos.report.ui.rows import experiment_rows
+from karolos.report.ui.server import guarded, serve
 from karolos.store import Store
 from karolos.store.experiments import find_experiments
-from karolos.ui.app import Application
-from karolos.ui.rows import experiment_rows
-from karolos.ui.server import guarded, serve
 
 HOST = "http://127.0.0.1:6789"
 app = Typer()

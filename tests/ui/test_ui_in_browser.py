@@ -23,8 +23,8 @@ from support.run_samples import SPEC, add_run, bare
 
 from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunRecord
+from karolos.report.ui.app import Application
 from karolos.store import Store
-from karolos.ui.app import Application
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PICTURES = os.environ.get("KAROLOS_PICTURES")

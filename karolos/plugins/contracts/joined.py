@@ -10,7 +10,6 @@ from typing import Any
 from ...core import Environment
 from ...environments.robot_task import RobotTask
 from ...errors import PluginError, UsageError
-from ...randomization.distributions import Choice
 from .case import Candidate, candidate
 
 CONTROLS = ("joint", "cartesian")
@@ -45,8 +44,8 @@ def join(
         robot=robot.plugin(robot.settled()),
         task=task.plugin(task.settled(**settings)),
     )
-    fixed = {name: Choice.Settings.model_validate({"values": (value,)}) for name, value in (drawn or {}).items()}
-    environment.randomize({name: Choice(settings) for name, settings in fixed.items()})
+    fixed = {name: candidate("distributions", "choice", values=(value,)) for name, value in (drawn or {}).items()}
+    environment.randomize({name: one.plugin(one.settled()) for name, one in fixed.items()})
     return environment
 
 

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from ...core import Array, FloatArray, random_actions
+from ...core.parameters import RandomizedParameter
 from ...core.seeding import Generator
 from ...environments.robot_task import RobotTask
-from ...randomization.randomization import RandomizedParameter
 from ...robots.settings import ArmSettings
 from ...simulation.geometry import inverse, multiply, rotated, rotation_vector
 from ...simulation.interface import Body, Cup, Gripper, World

@@ -1,6 +1,6 @@
 """Films of a run's policy, made on request, one at a time, in a separate process.
 
-python -m karolos.ui.films RUN_FOLDER FILE [failures]   what that process does
+python -m karolos.report.ui.films RUN_FOLDER FILE [failures]   what that process does
 """
 
 from __future__ import annotations
@@ -10,14 +10,12 @@ import sys
 import threading
 from pathlib import Path
 
-from ..environments.build import used
-from ..errors import KarolosError, UsageError
-from ..evaluation.changed_spec import load_player
-from ..evaluation.playing import play, play_failures
-from ..experiment.tensorboard_writer import add_film
-from ..records import RunFolder
-from ..records.checkpoint import names, read_meta
-from ..report.video import write_film
+from ...errors import KarolosError, UsageError
+from ...evaluation.playing import load_player, play, play_failures
+from ...experiment.tensorboard_writer import add_film
+from ...records import RunFolder
+from ...records.checkpoint import names
+from ..video import write_film
 
 FILES = {"episodes": "play.mp4", "failures": "play-failures.mp4"}
 """Kind of film -> its file in the run folder."""
@@ -41,7 +39,7 @@ class Films:
                 raise UsageError("another film is being made", hint="wait until it is ready")
             self._path = folder.path / FILES[kind]
             self._problems.pop(self._path, None)
-            command = [sys.executable, "-m", "karolos.ui.films", str(folder.path), str(self._path), kind]
+            command = [sys.executable, "-m", "karolos.report.ui.films", str(folder.path), str(self._path), kind]
             self._process = subprocess.Popen(
                 command,
                 stdin=subprocess.DEVNULL,
@@ -78,14 +76,12 @@ def make(folder: RunFolder, path: Path, kind: str) -> None:
     Raises as `load_player`, `write_video` and `add_film`.
     """
     name = "best" if kind == "episodes" and "best" in names(folder.checkpoints) else "last"
-    player = load_player(folder, name)
-    seed, chosen = player.spec.testing.seed, play_failures if kind == "failures" else play
-    with used(player.environment) as environment:
-        moments = chosen(environment, player.policy, episodes=EPISODES, seed=seed)
-        beginning = write_film(path, moments, environment, (WIDTH, HEIGHT))
+    chosen = play_failures if kind == "failures" else play
+    with load_player(folder, name) as player:
+        moments = chosen(player.environment, player.policy, episodes=EPISODES, seed=player.spec.testing.seed)
+        beginning = write_film(path, moments, player.environment, (WIDTH, HEIGHT))
     if kind == "episodes":
-        size = WIDTH // 2, HEIGHT // 2
-        add_film(folder.tensorboard, beginning, size, read_meta(folder.checkpoints, name)["steps"])
+        add_film(folder, name, beginning, (WIDTH // 2, HEIGHT // 2))
 
 
 if __name__ == "__main__":

@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from .aggregates import mean
-from .reaching import median_time
+from ..comparison.aggregates import mean
+from ..comparison.reaching import median_time
 
 _Floats = NDArray[np.float64]
 

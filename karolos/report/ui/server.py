@@ -16,9 +16,9 @@ from starlette.requests import Request
 from starlette.responses import PlainTextResponse, RedirectResponse, Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from ..errors import MachineError
-from ..store import Store
-from ..system import listen_alone
+from ...errors import MachineError
+from ...store import Store
+from ...system import listen_alone
 from .app import Application
 
 LOOPBACK = ("localhost", "127.0.0.1", "::1")

@@ -20,20 +20,22 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from .. import files
-from ..comparison import Contender, compare, gather
-from ..comparison.contenders import labels_of
-from ..errors import KarolosError, NoSuchRunError, RunError, UsageError
-from ..records import RunFolder, checkpoint, labels
-from ..records.evaluation import Evaluation
-from ..records.run_records import UNFINISHED, RunRecord, RunSummary, flatten
-from ..records.sweep_records import FOLDER as SWEEPS
-from ..records.sweep_records import sweeps
-from ..report import page
-from ..report.comparison_figures import comparison_figures, learning
-from ..report.figures import short
-from ..report.page import Section, comparison_sections
-from ..report.tables import (
+from ... import files
+from ...comparison import Contender, compare, gather
+from ...comparison.contenders import labels_of
+from ...errors import KarolosError, NoSuchRunError, RunError, UsageError
+from ...records import RunFolder, checkpoint, labels
+from ...records.evaluation import Evaluation
+from ...records.run_records import UNFINISHED, RunRecord, RunSummary, flatten
+from ...records.sweep_records import FOLDER as SWEEPS
+from ...records.sweep_records import sweeps
+from ...store import Store, check
+from ...store.experiments import ORDERS, find_experiments
+from .. import page
+from ..comparison_figures import comparison_figures, learning
+from ..figures import short
+from ..page import Section, comparison_sections
+from ..tables import (
     Table,
     count,
     evaluations_table,
@@ -45,8 +47,6 @@ from ..report.tables import (
     setting,
     transfers_table,
 )
-from ..store import Store, check
-from ..store.experiments import ORDERS, find_experiments
 from . import films
 from .rows import SIGNS, experiment_rows, sparkline
 

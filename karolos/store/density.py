@@ -1,4 +1,4 @@
-"""Statistics of success ratios: pure functions of arrays.
+"""Density of the success ratios of several seeds: pure functions of arrays.
 
 The unit between runs is the seed: never pool the episodes of several seeds into one interval.
 """

@@ -10,12 +10,12 @@ from scipy import stats
 from scipy.integrate import simpson
 from scipy.stats import CensoredData, ecdf
 
+from karolos.comparison import aggregates
+from karolos.comparison.reaching import first_reaching, kaplan_meier, median_reaching, median_time
 from karolos.core.seeding import SeedTree
-from karolos.statistics import aggregates
-from karolos.statistics.density import SMALLEST_BANDWIDTH, bandwidth, integral, kde
-from karolos.statistics.intervals import wilson
-from karolos.statistics.reaching import first_reaching, kaplan_meier, median_reaching, median_time
-from karolos.statistics.transfer import area_under_curve, forward_transfer, median_time_ratio, ratio_of_means
+from karolos.plans.transfer import area_under_curve, forward_transfer, median_time_ratio, ratio_of_means
+from karolos.records.intervals import wilson
+from karolos.store.density import SMALLEST_BANDWIDTH, bandwidth, integral, kde
 
 ratios = st.lists(st.floats(0, 1), min_size=1, max_size=20)
 

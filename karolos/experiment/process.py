@@ -1,4 +1,4 @@
-"""The process that a launcher starts: `python -m karolos.launchers.process --cores N [FOLDER]`.
+"""The process that a launcher starts: `python -m karolos.experiment.process --cores N [FOLDER]`.
 
 It executes the run or the zero-shot test of an existing folder. Without FOLDER it reads folders from stdin, one per
 line.
@@ -6,7 +6,7 @@ line.
 
 from __future__ import annotations
 
-from ..experiment.interrupt import BriefInterrupt
+from .interrupt import BriefInterrupt
 
 with BriefInterrupt():
     import argparse
@@ -22,13 +22,13 @@ with BriefInterrupt():
     from .. import system
     from ..errors import KarolosError, MachineError
     from ..evaluation.zero_shot import ZeroShotTest
-    from ..experiment.events import Listener, RunAdvanced, RunBusy, RunEvent
-    from ..experiment.run import run_or_resume
-    from ..experiment.signals import StopRequestedError, stop_on_signals
     from ..files import read_object, write_json, write_whole
     from ..records import RunFolder, provenance
+    from ..records.run_folder import LAUNCH, STOP
     from ..training.assembly import import_libraries
-    from .interface import LAUNCH, STOP
+    from .events import Listener, RunAdvanced, RunBusy, RunEvent
+    from .run import run_or_resume
+    from .signals import StopRequestedError, stop_on_signals
 
 EARLIER_PROCESS_SECONDS = 60.0
 """Time that a run waits for an earlier process of the same run, which writes a checkpoint and ends."""

@@ -6,13 +6,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from statistics import fmean
 
-from ..comparison.contenders import averaged, name_of, one_per_seed
-from ..comparison.scores import Estimate, estimate_alone
-from ..records.run_records import RunSummary
-from ..report import tables
-from ..report.tables import count, duration
-from ..store import Store
-from ..store.experiments import CurvePoint, curves, steps_asked
+from ...comparison.contenders import averaged, name_of, one_per_seed
+from ...comparison.scores import Estimate, estimate_alone
+from ...records.run_records import RunSummary
+from ...store import Store
+from ...store.experiments import CurvePoint, curves, steps_asked
+from .. import tables
+from ..tables import count, duration
 
 WIDTH, HEIGHT, EDGE = 120.0, 30.0, 2.0
 """Size of a sparkline, and the margin around its lines, in pixels."""

@@ -1,1 +1,0 @@
-"""Pure functions of arrays: densities, intervals, aggregates over seeds."""
