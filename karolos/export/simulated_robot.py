@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import gc
 import json
+import os
 import selectors
 import socket
+import stat
 import sys
+import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
@@ -200,7 +203,7 @@ class Server:
         return int(waiting.getsockname()[1])
 
     def watch(self, one: Any, ready: Callable[[Any], None]) -> None:
-        """Call `ready` whenever a socket or file can be read."""
+        """Call `ready` whenever a socket can be read."""
         self._selector.register(one, selectors.EVENT_READ, ready)
 
     def forget(self, connection: socket.socket) -> None:
@@ -256,15 +259,21 @@ class Server:
         self.robot.advance(now)
 
     def serve(self) -> None:
-        """Print the address, and answer until stdin or `end` ends it."""
-        self.watch(sys.stdin, lambda stream: None if stream.readline() else self.end())
+        """Print the address, and answer until `end`, or until the process at the other end of stdin closes it."""
+        if stat.S_ISFIFO(os.fstat(0).st_mode):  # neither a terminal nor the null device of a service
+            threading.Thread(target=self._end_with_stdin, daemon=True).start()
         print(f"{self.host}:{self.port}", flush=True)
         gc.collect()
         gc.freeze()  # a later garbage collection of all imports would take 90 ms
         while self._running:
-            for key, _ in self._selector.select(TICK / 2 if self.real else None):
+            for key, _ in self._selector.select(TICK / 2 if self.real else 0.1):
                 key.data(key.fileobj)
             self.tick()
+
+    def _end_with_stdin(self) -> None:
+        while os.read(0, 1024):
+            pass
+        self.end()
 
     def end(self) -> None:
         """Stop serving."""

@@ -85,7 +85,8 @@ class Repair:
             self.robot, self._lines = urdf.parse(path, text)
             self._repair(self.robot, mass, limits=limits)
         except PluginError as error:
-            self.findings.append(Finding(error.where or str(path), error.what))
+            what = f"{error.what}; {error.hint}" if error.hint else error.what
+            self.findings.append(Finding(error.where or str(path), what))
 
     def write(self, path: Path) -> None:
         """Write the repaired copy, with names of meshes relative to its folder. Raises PluginError, MachineError."""

@@ -195,7 +195,7 @@ class _Source:
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
         """Place (file:line) of each element."""
         if any("ros.org/wiki/xacro" in element.tag for element in root):
-            hint = f"expand it first: xacro {path.name} > robot.urdf"
+            hint = f"`karolos robot check {path.name} --repair robot.urdf` expands them"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
         if root.tag != "robot" or root.find("link") is None:
             raise PluginError("not a URDF: it needs a <robot> with links", where=str(path))

@@ -94,7 +94,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
         ("<house/>", "not a URDF"),
         (
             '<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>',
-            "not expanded; expand it first: xacro",
+            "not expanded; `karolos robot check",
         ),
         (robot(A, '<joint name="j" type="floating"/>'), "joint j: a floating joint"),
         (robot(A, '<joint name="j" type="revolute"/>'), "joint j: a joint without parent or child"),
