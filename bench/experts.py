@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
 from itertools import product
 from statistics import fmean
@@ -16,6 +14,7 @@ from typer import Option
 from karolos.errors import KarolosError, UsageError
 from karolos.evaluation.playing import FirstSuccesses, evaluate
 from karolos.evaluation.policies import expert_policy, random_policy
+from karolos.evaluation.testing import playing_processes
 from karolos.gym import STEPS
 from karolos.plugins import inspection
 from karolos.records.intervals import wilson
@@ -62,8 +61,7 @@ def measure(
             print(f"left out: {error}", file=sys.stderr)
         else:
             cases.append((robot, task))
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(jobs, len(cases)), mp_context=context) as pool:
+    with playing_processes(min(jobs, len(cases))) as pool:
         yield from pool.map(partial(_row, engine, episodes, seed, steps), cases)
 
 

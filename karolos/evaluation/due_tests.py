@@ -6,9 +6,8 @@ A test depends only on the agent's state and on fixed seeds. Its result is the s
 from __future__ import annotations
 
 import json
-import multiprocessing
 from collections.abc import Callable, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from functools import cache, cached_property
 from multiprocessing.util import Finalize
@@ -16,12 +15,11 @@ from multiprocessing.util import Finalize
 from ..core import Agent, Failure, Orchestrator, State
 from ..core.seeding import SeedTree
 from ..orchestrator.processes import fresh_start
-from ..orchestrator.worker import isolate
 from ..records import checkpoint
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict
 from ..training.assembly import make_agent, make_orchestrator, use_threads
-from .testing import play_episodes
+from .testing import play_episodes, playing_processes
 
 NICENESS = 10
 """Added to the priority value of the second process. On a busy core it gets about a tenth of the time."""
@@ -98,8 +96,7 @@ class EvaluationProcess:
 
     def __init__(self, spec: Spec) -> None:
         self._spec = json.dumps(spec.dump())
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, context, initializer=isolate, initargs=(NICENESS,))
+        self._pool = playing_processes(1, NICENESS)
 
     def submit(self, test: DueEvaluation) -> Future[tuple[Evaluation, list[Failure]]]:
         """Begin a test; its result comes with the failures of environments.

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import multiprocessing
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -13,6 +15,7 @@ from typing_extensions import override
 
 from ..core import Agent, Array, Failure, Measure, Orchestrator, Received, Step
 from ..core.seeding import SeedTree
+from ..orchestrator.worker import isolate
 from ..records.evaluation import Evaluation
 
 
@@ -43,6 +46,15 @@ def test_seeds(root: int, episodes: int) -> Seeds:
 
 
 test_seeds.__test__ = False  # type: ignore[attr-defined]  # pytest takes the name for a test case
+
+
+def playing_processes(count: int, niceness: int = 0) -> ProcessPoolExecutor:
+    """Processes that play policies. They ignore signals, and print on standard error.
+
+    `niceness` lowers their priority. They are spawned, because a fork would share threads of torch.
+    """
+    context = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(count, context, initializer=isolate, initargs=(niceness,))
 
 
 def play_episodes(

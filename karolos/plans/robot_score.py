@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections import Counter, deque
 from collections.abc import Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from json import dumps
 from pathlib import Path
@@ -21,10 +19,9 @@ from ..errors import KarolosError, PluginError, UsageError, alternatives
 from ..evaluation.changed_spec import changed_spec
 from ..evaluation.playing import evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
-from ..evaluation.testing import test_seeds
+from ..evaluation.testing import playing_processes, test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
 from ..files import INSTALLED, installed_file, write_whole, writing
-from ..orchestrator.worker import isolate
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
@@ -203,8 +200,7 @@ def score_robot(
         films: folder for a film of each; None: no films.
         runs: as for `score_policy`.
     """
-    context = multiprocessing.get_context("spawn")  # a fork would share threads of torch
-    with ProcessPoolExecutor(min(cores(), len(policies)), context, initializer=isolate) as pool:
+    with playing_processes(min(cores(), len(policies))) as pool:
         tasks = [
             pool.submit(score_policy, run, overrides, episodes, films and films / f"{run.name}.mp4", runs)
             for run in policies

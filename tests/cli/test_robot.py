@@ -84,7 +84,7 @@ def test_policies_are_those_of_a_robot_or_one(arm: Path) -> None:
 def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_is_named(
     arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(robot_score, "ProcessPoolExecutor", Here)
+    monkeypatch.setattr(robot_score, "playing_processes", Here)
     broken = arm.with_name("broken.urdf")
     broken.write_text(arm.read_text().replace('effort="60"', 'effort="0"'))
     (tmp_path / "none.urdf").write_text("<robot/>")
