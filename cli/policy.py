@@ -229,6 +229,7 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
 
 def export(
     run: APolicy,
+    changes: Changes = None,
     out: Annotated[
         Path | None,
         typer.Option(
@@ -253,7 +254,8 @@ def export(
     """Write a run's policy for use without karolos: as an ONNX model, and as arrays for numpy.
 
     The inputs are observation and desired_goal; the files normalise them. The output is an action in [-1, 1], or the
-    index of a discrete action. policy.json says what each number means.
+    index of a discrete action. policy.json says what each number means. With --bundle, changes such as robot=ur5 make
+    the bundle for another robot.
     """
     folder = open_run(run, runs, database)
     from karolos.records.shipped import is_shipped
@@ -263,8 +265,10 @@ def export(
     if bundle:
         from karolos.export.bundle import export_bundle
 
-        done = export_bundle(folder, out, checkpoint=chosen)
+        done = export_bundle(folder, out, changes or (), checkpoint=chosen)
     else:
+        if changes:
+            raise UsageError(f"{changes[0]!r} changes nothing in a policy", where="override", hint="add --bundle")
         from karolos.export.export import export_policy
 
         done = export_policy(folder, out, checkpoint=chosen, onnx=onnx)

@@ -15,8 +15,8 @@ from .kinematics import Array, Chain, chain_of
 from .policy import NumpyPolicy
 from .readings import Observer, Reading
 
-FORMAT = 1
-"""Version of a bundle's layout."""
+FORMAT, JOINTS_FORMAT = 1, 2
+"""Version of a bundle's layout; that with the formulas of OF_JOINTS."""
 SUMS = "SHA256SUMS"
 TOLERANCE = 1e-4
 """Largest allowed difference from a golden action or observation: float32 sums in another order differ."""
@@ -48,13 +48,13 @@ class Bundle:
         with (self.folder / "policy.yaml").open(encoding="utf-8") as file:
             whole = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         self.contract: dict[str, Any] = whole["karolos"]
-        if self.contract["format"] != FORMAT:
-            raise BundleError(f"{folder} has format {self.contract['format']}; this version reads format {FORMAT}")
+        if (found := self.contract["format"]) not in (FORMAT, JOINTS_FORMAT):
+            raise BundleError(f"{folder} has format {found}; this version reads formats {FORMAT} and {JOINTS_FORMAT}")
         self.chain: Chain = chain_of(self.contract)
         self.policy: Policy = _onnx_policy(self.folder) if onnx else NumpyPolicy(self.folder / "policy.npz")
         with np.load(self.folder / "golden.npz", allow_pickle=False) as golden:
-            found = self.policy(golden["observation"], golden["desired_goal"])
-            self._compare("golden.npz", "action", found, golden["action"])
+            acted = self.policy(golden["observation"], golden["desired_goal"])
+            self._compare("golden.npz", "action", acted, golden["action"])
 
     def episode(self) -> dict[str, Array]:
         """The logged episode, by column: one row for each control step."""

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from os import PathLike
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-FORMAT = 2
-"""Version of the file's layout."""
+FORMAT, JOINTS_FORMAT = 2, 3
+"""Version of the file's layout; that of a policy which treats joints alike."""
 
 
 class NumpyPolicy:
@@ -24,8 +25,8 @@ class NumpyPolicy:
     def __init__(self, path: str | PathLike[str]) -> None:
         with np.load(path, allow_pickle=False) as file:
             found = int(file["format"]) if "format" in file else None
-            if found != FORMAT:
-                raise ValueError(f"{path}: a policy of format {found}; this reads format {FORMAT}")
+            if found not in (FORMAT, JOINTS_FORMAT):
+                raise ValueError(f"{path}: a policy of format {found}; this reads formats {FORMAT} and {JOINTS_FORMAT}")
             self.shift: NDArray[np.float32] = file["shift"]
             self.scale: NDArray[np.float32] = file["scale"]
             self.missing: NDArray[np.int64] = file["missing"]
@@ -39,6 +40,9 @@ class NumpyPolicy:
                 (file[f"weight{place}"], file[f"bias{place}"]) for place in range(int(file["layers"]))
             ]
             """Weight (out, in) and bias (out,) of each layer."""
+            names = ("own", "shared", "order", "first_weight", "first_bias", "last_weight", "last_bias")
+            self.joints: dict[str, NDArray[Any]] = {name: file[name] for name in names if found == JOINTS_FORMAT}
+            """Columns and layers of a policy that treats joints alike, see `_by_joint`; otherwise empty."""
 
     def __call__(self, observation: ArrayLike, desired_goal: ArrayLike = ()) -> NDArray[np.float32] | NDArray[np.int64]:
         """The action for an observation (o,) and a goal (g,), or the actions for (n, o) and (n, g).
@@ -72,13 +76,31 @@ class NumpyPolicy:
         scaled = (x - self.shift) * self.scale
         x = scaled.clip(-self.clip, self.clip)
         x[..., x.shape[-1] - count :] = np.tanh(scaled[..., x.shape[-1] - count :])
+        x = self._by_joint(x) if self.joints else self._perceptron(x)
+        if self.output == "argmax":
+            return np.asarray(x.argmax(-1))
+        return np.asarray(np.tanh(x), np.float32) if self.output == "tanh" else x.clip(-1, 1)
+
+    def _perceptron(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         for place, (weight, bias) in enumerate(self.layers):
             if place:
                 x = np.maximum(self._normalised(x), 0)
             x = x @ weight.T + bias
-        if self.output == "argmax":
-            return np.asarray(x.argmax(-1))
-        return np.asarray(np.tanh(x), np.float32) if self.output == "tanh" else x.clip(-1, 1)
+        return x
+
+    def _by_joint(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The outputs if `first` and `last` are layers of each joint, and the perceptron sees sums over the joints."""
+        known, shared = self.joints, x[..., self.joints["shared"]]
+        own = x[..., known["own"]]  # (..., joints, columns)
+        rows = np.concatenate((own, np.repeat(shared[..., None, :], own.shape[-2], -2)), -1)
+        p, q, r, t, v = np.split(rows @ known["first_weight"].T + known["first_bias"], 5, -1)
+        sums = np.concatenate((np.maximum(p, 0).sum(-2), (q * r).sum(-2)), -1) / np.float32(own.shape[-2] ** 0.5)
+        said = self._perceptron(np.concatenate((sums, shared), -1))
+        y, z, rest = np.split(said[..., None, :], [t.shape[-1], 2 * t.shape[-1]], -1)
+        hidden = np.concatenate((np.maximum(t + y, 0), v * z), -1)
+        each = hidden @ known["last_weight"].T + known["last_bias"]
+        outputs = np.concatenate((each.reshape(*x.shape[:-1], -1), rest[..., 0, :]), -1)
+        return np.asarray(outputs[..., known["order"]])
 
     def _normalised(self, x: NDArray[np.float32]) -> NDArray[np.float32]:
         if np.isnan(self.epsilon):

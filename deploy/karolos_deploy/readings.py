@@ -12,6 +12,8 @@ from .kinematics import Array, Configuration
 
 RUNNING = "running"
 """The state of a robot that follows set points."""
+OF_JOINTS = ("joint_effects", "joint_rooms", "joint_speeds", "joint_accelerations")
+"""Formulas with a row for each joint. Zeros follow in fields for arms with more joints."""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,10 @@ class Observer:
         self.fields: list[dict[str, Any]] = contract["observation"]
         self._tau: float = contract["wrench"]["filter"]
         self._limit: float = contract["limits"]["force"]
+        self._period, self._step = 1 / contract["control"]["rate"], np.array(contract["control"]["joint_step"])
+        self._lower, self._upper, self._acceleration = (
+            np.array([joint[key] for joint in contract["joints"]]) for key in ("lower", "upper", "acceleration")
+        )
         self.reset()
 
     @property
@@ -118,6 +124,10 @@ class Observer:
             "wrench": self.wrench,
             "wrench_along_world": turned,
             "force_exceeded": np.array([float(self.overloaded)]),
+            "joint_effects": at.jacobian.T * self._step[:, None],
+            "joint_rooms": np.column_stack((reading.positions - self._lower, self._upper - reading.positions)),
+            "joint_speeds": self._period * reading.velocities / self._step,
+            "joint_accelerations": np.minimum(self._period**2 * self._acceleration / self._step, 1),
             **reading.measured,
         }
         for one in self.fields:
@@ -131,4 +141,13 @@ class Observer:
             return known[first] - known[second]
         if formula == "tanh":
             return np.tanh([(known[name][column] + offset) / scale for name, column, offset, scale in one["of"]])
+        if formula == "joint_rooms":
+            return padded((known[formula] / self._step[:, None]).clip(0, one["most"]), one["size"])
+        if formula in OF_JOINTS:
+            return padded(known[formula], one["size"])
         return known[one["name"] if formula == "measured" else formula]
+
+
+def padded(rows: Array, size: int) -> Array:
+    """The numbers of rows, one row after the other, and zeros up to `size` numbers."""
+    return np.pad(rows.ravel(), (0, size - rows.size))

@@ -315,17 +315,11 @@ class ActorCritic(TorchAgent):
 
     def adopt(self, policy: Deployed) -> None:
         for network in (self.policy, self.average):
-            parts = list(network.named.values())
-            for layer, weight, bias in zip(policy.layers, parts[::2], parts[1::2], strict=True):
-                weight[: len(layer.weight)] = torch.from_numpy(layer.weight)
-                bias.view(-1)[: layer.bias.size] = torch.from_numpy(layer.bias)
+            network.adopt(policy)
         self.normaliser.adopt(torch.from_numpy(policy.shift), torch.from_numpy(policy.scale))
 
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
-        if self.settings.per_joint:
-            what, hint = "networks that treat joints alike have no file for use without karolos", "train without it"
-            raise UsageError(what, setting="agent.per_joint", hint=hint)
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
 
 

@@ -11,15 +11,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
 
+from ..core import Deployed, JointLayers, Layer
 from . import layers
 from .layers import Affine, Tape
-from .networks import MLP, NetworkShape
+from .networks import MLP, NetworkShape, array_of, take
 
 
 @dataclass(frozen=True)
@@ -182,6 +184,31 @@ class JointNetwork(MLP):
             torch.sum(summed[:, : 3 * h], 0, keepdim=True, out=out["joint.bias"])
             torch.mm(summed[:, : 2 * h].mT, tape.others, out=out["others.weight"])
         return by_linear, by_inputs[:, 2 * h :] + summed[:, : 2 * h] @ p["others.weight"]
+
+    def arrays(self, columns: slice) -> tuple[list[Layer], JointLayers | None]:
+        p, k, h, kept = self._parts[0], self._joints.shape[1], self.shape.sizes[1], range(self.shape.sizes[-1])[columns]
+        first = p["joint.weight"].new_zeros((5 * h, k + len(self._others)))
+        first[:, :k], first[: 2 * h, k:] = p["joint.weight"], p["others.weight"]
+        first_bias = torch.nn.functional.pad(p["joint.bias"][0], (0, 2 * h))
+        each = [[column for column in row if column in kept] for row in self.shape.each]
+        rest = [column for column in self._rest.tolist() if column in kept]
+        hidden = [Layer(array_of(weight), array_of(bias)) for weight, bias in _layers(p)]
+        said = 2 * h + len(rest)
+        hidden[-1] = Layer(hidden[-1].weight[:said], hidden[-1].bias[:said])
+        last = Layer(array_of(p["each.weight"])[: len(each[0])], array_of(p["each.bias"])[0, : len(each[0])])
+        places = np.argsort([*chain(*each), *rest])
+        own, shared = (array_of(table) for table in (self._joints, self._others))
+        return hidden, JointLayers(own, shared, places, Layer(array_of(first), array_of(first_bias)), last)
+
+    def adopt(self, policy: Deployed) -> None:
+        p, k, h, joints = self._parts[0], self._joints.shape[1], self.shape.sizes[1], policy.joints
+        assert joints is not None
+        p["joint.weight"].copy_(torch.from_numpy(joints.first.weight[:, :k]))
+        p["others.weight"].copy_(torch.from_numpy(joints.first.weight[: 2 * h, k:]))
+        p["joint.bias"].copy_(torch.from_numpy(joints.first.bias[: 3 * h]))
+        for own, layer in zip(_layers(p), policy.layers, strict=True):
+            take(own, layer)
+        take(Affine(p["each.weight"], p["each.bias"][0]), joints.last)
 
 
 def _layers(parameters: dict[str, Tensor]) -> list[Affine]:

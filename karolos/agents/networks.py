@@ -13,10 +13,11 @@ from itertools import pairwise
 from typing import Any
 
 import torch
+from numpy.typing import NDArray
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from ..core import State
+from ..core import Deployed, JointLayers, Layer, State
 from ..errors import UsageError
 from . import layers
 from .layers import Affine, Tape
@@ -182,6 +183,16 @@ class MLP:
         """Polyak averaging: parameters = (1 - tau) parameters + tau other's parameters."""
         self.vector.lerp_(other.vector, tau)
 
+    def arrays(self, columns: slice) -> tuple[list[Layer], JointLayers | None]:
+        """Copies of the layers, without members, for a `Deployed` with these columns of the outputs."""
+        *hidden, last = (Layer(array_of(one.weight), array_of(one.bias)) for one in self._layers[0])
+        return [*hidden, Layer(last.weight[columns], last.bias[columns])], None
+
+    def adopt(self, policy: Deployed) -> None:
+        """Take the layers of an exported policy. Outputs that only exploration needs stay as they are."""
+        for own, layer in zip(self._layers[0], policy.layers, strict=True):
+            take(own, layer)
+
     def state(self) -> State:
         return {name: view.detach().clone() for name, view in self.named.items()}
 
@@ -218,6 +229,17 @@ class _Autograd(torch.autograd.Function):
         columns = slice(None) if by_input else None
         found = ctx.network.backward(gradient, ctx.tapes, parameters=by_vector, columns=columns)
         return found, ctx.network.gradient.clone() if by_vector else None, None, None
+
+
+def array_of(part: Tensor) -> NDArray[Any]:
+    """A copy on the CPU."""
+    return part.detach().cpu().numpy().copy()
+
+
+def take(own: Affine, layer: Layer) -> None:
+    """Copy a layer to the first outputs of another one."""
+    own.weight[: len(layer.weight)] = torch.from_numpy(layer.weight)
+    own.bias[: layer.bias.size] = torch.from_numpy(layer.bias)
 
 
 def _words(shapes: Mapping[str, tuple[int, ...]]) -> str:

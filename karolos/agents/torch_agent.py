@@ -23,7 +23,6 @@ from ..core import (
     Discrete,
     Experience,
     FloatArray,
-    Layer,
     Layout,
     Output,
     SeedTree,
@@ -186,14 +185,12 @@ class TorchAgent(Agent[Experience]):
             output: how the network's outputs become an action.
             columns: of the outputs that the action needs.
         """
-        parts = [to_array(part).copy() for part in network.named.values()]
-        layers = [Layer(weight, bias.reshape(-1)) for weight, bias in zip(parts[::2], parts[1::2], strict=True)]
-        layers[-1] = Layer(layers[-1].weight[columns], layers[-1].bias[columns])
+        layers, joints = network.arrays(columns)
         statistics = self.normaliser.shift, self.normaliser.scale
         shift, scale = (to_array(part[: self.inputs]).copy() for part in statistics)
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
         missing = np.array(self.missing, np.int64)
-        return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon, missing)
+        return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon, missing, joints)
 
     def state(self) -> State:
         """Everything that learning and acting depend on."""

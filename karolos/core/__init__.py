@@ -5,7 +5,7 @@ number of leading axes (none for one environment, one for several). An episode e
 next state is 0) or `truncated` (the next state has a value). Continuous actions are in [-1, 1].
 """
 
-from .agent import Agent, Deployed, Layer, Output
+from .agent import Agent, Deployed, JointLayers, Layer, Output
 from .buffer import Buffer
 from .environment import Environment, Expert, Moment
 from .experience import Batch, Experience, Rollout, State, Step, Transitions
@@ -45,6 +45,7 @@ __all__ = [
     "FloatArray",
     "Generator",
     "GoalRule",
+    "JointLayers",
     "Kind",
     "Layer",
     "Layout",

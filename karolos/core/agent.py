@@ -36,13 +36,41 @@ class Layer:
 
 
 @dataclass(frozen=True)
+class JointLayers:
+    """Layers around a perceptron that treat the s joints of an arm alike.
+
+    The row of joint j joins the columns own[j] and `shared` of x. `first` makes five parts of h columns of it: p, q, r,
+    t and v. The perceptron's input joins sum_j max(p_j, 0) / sqrt(s), sum_j q_j r_j / sqrt(s) and the shared columns.
+    Its output is y, z, each of h columns, and the rest. `last` makes the outputs of joint j of max(t_j + y, 0) and
+    v_j z. Action column i is column order[i] of the outputs of all joints, followed by the rest.
+    """
+
+    own: NDArray[np.int64]
+    """(s, k)"""
+    shared: NDArray[np.int64]
+    """(g,)"""
+    order: NDArray[np.int64]
+    """(a,)"""
+    first: Layer
+    """k + g columns in, 5 h out"""
+    last: Layer
+    """2 h columns in"""
+
+    @property
+    def units(self) -> int:
+        """h"""
+        return int(self.last.weight.shape[1]) // 2
+
+
+@dataclass(frozen=True)
 class Deployed:
     """A policy without exploration as float32 arrays.
 
     The input x joins the observation o, the desired goal g and the missing part g[missing[0]] - o[missing[1]].
     Then x = (x - shift) * scale. The missing part is bounded by tanh(x), the rest by clip(x, -clip, clip). The
     layers with max(x, 0) between them follow, and `output`. With `layer_norm`, each hidden layer is normalised
-    before max(x, 0): (x - mean) / sqrt(variance + layer_norm), with mean and variance over the row.
+    before max(x, 0): (x - mean) / sqrt(variance + layer_norm), with mean and variance over the row. With `joints`,
+    the layers are the perceptron between those of the joints.
     """
 
     shift: FloatArray
@@ -56,6 +84,13 @@ class Deployed:
     """None: no layer normalisation."""
     missing: NDArray[np.int64] = field(default_factory=lambda: np.zeros((2, 0), np.int64))
     """(2, k): columns of the goal, and columns of the observation with the achieved values of these."""
+    joints: JointLayers | None = None
+    """None: all columns are treated as they come."""
+
+    @property
+    def every_layer(self) -> tuple[Layer, ...]:
+        """All layers, from the inputs to the outputs."""
+        return self.layers if self.joints is None else (self.joints.first, *self.layers, self.joints.last)
 
     @classmethod
     def read(cls, path: Path) -> Deployed:
@@ -65,10 +100,16 @@ class Deployed:
             norm, output = float(file["layer_norm"]), str(file["output"])
             norms = None if np.isnan(norm) else norm
             known = file["shift"], file["scale"], float(file["clip"])
-            return cls(*known, tuple(layers), output, norms, file["missing"])  # type: ignore[arg-type]
+            joints = None
+            if "own" in file:
+                first, last = (Layer(file[f"{name}_weight"], file[f"{name}_bias"]) for name in ("first", "last"))
+                joints = JointLayers(file["own"], file["shared"], file["order"], first, last)
+            return cls(*known, tuple(layers), output, norms, file["missing"], joints)  # type: ignore[arg-type]
 
     def __post_init__(self) -> None:
         columns = [self.shift.size, *(layer.bias.size for layer in self.layers)]
+        if self.joints is not None:
+            columns[0] = self.joints.last.weight.shape[1] + self.joints.shared.size
         shapes = [layer.weight.shape for layer in self.layers]
         if self.scale.shape != self.shift.shape or shapes != list(zip(columns[1:], columns[:-1], strict=True)):
             raise ValueError(f"{columns[0]} inputs do not fit layers of shapes {shapes}")

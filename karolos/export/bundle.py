@@ -13,27 +13,32 @@ SHA256SUMS               of every file
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import suppress
 from math import inf
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from karolos_deploy.bundle import FORMAT, Bundle, write_sums, write_yaml
+from karolos_deploy.bundle import FORMAT, JOINTS_FORMAT, Bundle, write_sums, write_yaml
+from karolos_deploy.readings import OF_JOINTS
 
 from ..core import Layout
 from ..environments.build import used
 from ..environments.robot_task import RobotTask
 from ..errors import MachineError, UsageError
+from ..evaluation.changed_spec import changed_spec
 from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
 from ..files import write_json, writing
 from ..records import RunFolder, provenance
 from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
+from ..robots.control import MOST_ROOM
 from ..robots.protective_stop import ProtectiveStop
 from ..simulation.geometry import matrix_of
 from ..simulation.interface import Task
+from ..specification import Spec
 from .export import Exported, export_policy
 from .page import page
 
@@ -45,23 +50,26 @@ ROBOT = {
     "tool_angular_velocity": "tool_angular_velocity", "tool_heading": "tool_heading", "wrench": "wrench",
     "gripper_opening": "gripper_opening", "joint_positions": "joint_positions", "set_point": "set_point",
     "joint_velocities": "joint_velocities", "peg_wrench": "wrench_along_world", "overloaded": "force_exceeded",
-}  # fmt: skip
+} | dict(zip(OF_JOINTS, OF_JOINTS, strict=True))  # fmt: skip
 """Fields of observations -> the formula by which karolos-deploy computes them from joints and wrist."""
 
 
-def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> Exported:
+def export_bundle(folder: RunFolder, out: Path, changes: Sequence[str] = (), *, checkpoint: str = "best") -> Exported:
     """Write the bundle of a run's policy.
 
     Args:
         out: folder to write to; it must be empty, or hold an older bundle.
+        changes: overrides as of `changed_spec`, such as robot.name=ur5: the bundle is for this robot and task.
         checkpoint: `best` or `last`.
 
     Raises:
-        UsageError: the policy moves no arm, or has actions that cannot be sent to a robot.
+        UsageError: the policy moves no arm, or has actions that cannot be sent to a robot, or layouts are changed.
+        SpecError: a change is not valid.
         RunError, MachineError: as `export_policy`.
     """
     saved = load_agent(folder, checkpoint)
-    with used(environment_of(playable(saved.spec))) as environment:
+    spec = changed_spec(saved.spec, changes, trained=saved.signature) if changes else playable(saved.spec)
+    with used(environment_of(spec, randomize=bool(changes))) as environment:
         if not isinstance(environment, RobotTask) or not isinstance(environment.robot, Arm):
             hint = "leave out --bundle"
             raise UsageError("a bundle is for a policy that moves an arm", where=folder.id, hint=hint)
@@ -75,7 +83,7 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
                 raise UsageError(f"a bundle cannot have {name}", where=folder.id, hint="leave out --bundle")
         _make_room(out)
         done = export_policy(folder, out, checkpoint=checkpoint, onnx=True)
-        contract = describe(folder, saved, environment)
+        contract = describe(folder, saved, environment, spec if changes else saved.spec, changes)
         logged, seen = record(environment, saved.policy(), contract, saved.spec.testing.seed)
         fields = {"observation": contract["observation"], "desired_goal": contract["desired_goal"]}
         for name, rows in {**fields, "action": contract["action"]}.items():
@@ -87,7 +95,7 @@ def export_bundle(folder: RunFolder, out: Path, *, checkpoint: str = "best") -> 
                 moments = play(environment, saved.policy(), episodes=1, seed=saved.spec.testing.seed)
                 write_film(out / "film.mp4", moments, environment, (640, 480))
             (out / "policy.json").unlink()
-            write_json(out / "spec.json", saved.spec.dump())
+            write_json(out / "spec.json", (spec if changes else saved.spec).dump())
             write_json(out / "run.json", folder.description())
             write_yaml(out / "policy.yaml", leapp(out, contract))
             (out / "README.md").write_text(
@@ -110,13 +118,18 @@ def _make_room(out: Path) -> None:
         (out / name).unlink()
 
 
-def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> dict[str, Any]:
+def describe(
+    folder: RunFolder, saved: SavedAgent, environment: RobotTask, played: Spec, changes: Sequence[str]
+) -> dict[str, Any]:
     """The contract: everything that is needed to run the policy. JSON-able, SI units, in the world's frame."""
-    task, signature, spec = environment.task, saved.signature, saved.spec.dump()
-    tested = saved.tested.row() if saved.tested is not None else None
-    drawn = spec.get("randomization", {})
+    task, signature, spec = environment.task, saved.signature, played.dump()
+    changed = [one for one in folder.transfers().rows if one.sha256 == saved.sha256]
+    here = [one for one in changed if one.overrides == tuple(changes)][-1:] if changes else [saved.tested]
+    tested = here[0].row() if here and here[0] is not None else None
+    drawn = saved.spec.dump().get("randomization", {})
+    observed = _observed(signature.observation.acting, task)
     return {
-        "format": FORMAT,
+        "format": JOINTS_FORMAT if any(one["formula"] in OF_JOINTS for one in observed) else FORMAT,
         "run": {
             "id": folder.id,
             "experiment": folder.description()["experiment"],
@@ -125,15 +138,14 @@ def describe(folder: RunFolder, saved: SavedAgent, environment: RobotTask) -> di
             "sha256": saved.sha256,
             "steps": saved.steps,
             "karolos": provenance.versions()["karolos"],
+            "changed": list(changes),
             "test": {key: tested[key] for key in _SUCCESS} if tested else None,
             "tests_under_changes": [
-                {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}}
-                for one in folder.transfers().rows
-                if one.sha256 == saved.sha256
+                {"changed": list(one.overrides), **{key: one.row()[key] for key in _SUCCESS}} for one in changed
             ],
         },
         **describe_robot(environment, spec["robot"]["name"]),
-        "observation": _observed(signature.observation.acting, task),
+        "observation": observed,
         "desired_goal": signature.desired_goal.described(),
         "episode": {"steps": task.max_steps, "task": spec["task"]},
         "randomized": drawn,
@@ -197,6 +209,8 @@ def _observed(layout: Layout, task: Task) -> list[dict[str, Any]]:
         stem = name.removesuffix("_from_tool")
         if name in ROBOT:
             field["formula"] = ROBOT[name]
+            if name == "joint_rooms":
+                field["most"] = MOST_ROOM
         elif stem != name and f"{stem}_position" in layout.names:
             field |= {"formula": "difference", "of": [f"{stem}_position", "tool_position"]}
         elif name in task.fine_fields:

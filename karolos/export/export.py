@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from karolos_deploy.policy import FORMAT, NumpyPolicy
+from karolos_deploy.policy import FORMAT, JOINTS_FORMAT, NumpyPolicy
 
 from ..core import Deployed
 from ..core.seeding import SeedTree
@@ -64,7 +64,8 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
         check_onnx()
     saved = load_agent(folder, checkpoint)
     policy = saved.agent.deployed()
-    numbers = [policy.shift, policy.scale, *(part for layer in policy.layers for part in (layer.weight, layer.bias))]
+    layers = [part for layer in policy.every_layer for part in (layer.weight, layer.bias)]
+    numbers = [policy.shift, policy.scale, *layers]
     if not all(np.isfinite(part).all() for part in numbers):
         raise RunError("the policy has weights that are nan or infinite", where=folder.id)
     described = description(folder, saved, policy)
@@ -95,8 +96,9 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
 
 def arrays(policy: Deployed) -> dict[str, Any]:
     """Content of policy.npz, by name."""
+    joints = policy.joints
     return {
-        "format": np.int64(FORMAT),
+        "format": np.int64(format_of(policy)),
         "shift": policy.shift,
         "scale": policy.scale,
         "missing": policy.missing,
@@ -106,7 +108,15 @@ def arrays(policy: Deployed) -> dict[str, Any]:
         "layers": np.int64(len(policy.layers)),
         **{f"weight{place}": layer.weight for place, layer in enumerate(policy.layers)},
         **{f"bias{place}": layer.bias for place, layer in enumerate(policy.layers)},
+        **({} if joints is None else {"own": joints.own, "shared": joints.shared, "order": joints.order}),
+        **({} if joints is None else {"first_weight": joints.first.weight, "first_bias": joints.first.bias}),
+        **({} if joints is None else {"last_weight": joints.last.weight, "last_bias": joints.last.bias}),
     }
+
+
+def format_of(policy: Deployed) -> int:
+    """The lowest version of policy.npz that can hold the policy: older readers read what they can."""
+    return FORMAT if policy.joints is None else JOINTS_FORMAT
 
 
 def golden_samples(saved: SavedAgent, policy: Deployed) -> dict[str, Any]:
@@ -130,7 +140,7 @@ def description(folder: RunFolder, saved: SavedAgent, policy: Deployed) -> dict[
     with used(environment_of(playable(saved.spec))) as environment:
         facts: dict[str, Any] = getattr(getattr(environment, "robot", None), "facts", dict)()
     return {
-        "format": FORMAT,
+        "format": format_of(policy),
         "run": folder.id,
         "checkpoint": saved.checkpoint,
         "sha256": saved.sha256,

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from karolos_deploy.readings import OF_JOINTS
+
 from ..environments.robot_task import RobotTask
 
 WORDS = {
@@ -16,6 +18,10 @@ WORDS = {
     "gripper_opening": "distance of the pads / the largest; 0 closed, 1 open",
     "joint_positions": "as read",
     "joint_velocities": "as read",
+    "joint_effects": "a row of 6 for each joint: its columns of J_v and J_w, times its step below",
+    "joint_rooms": "2 for each joint: position - lowest and highest - position, / its step, in [0, {most:g}]",
+    "joint_speeds": "for each joint its velocity / (its step * actions per second)",
+    "joint_accelerations": "for each joint its acceleration / (its step * actions per second ^ 2), at most 1",
     "set_point": "way from the tool to the set point: s - p, and the rotation vector of S R^T, each no longer than the "
     "largest error of the spring",
     "wrench": "force and torque on the tool at the tool centre point, in the tool's frame, filtered as below",
@@ -97,7 +103,7 @@ karolos-deploy stops the robot when one of these is exceeded, when a reading is 
 when the robot says that it does not move.
 
 ## What may be exchanged
-Trained with the arm and gripper above. {transfers}
+Trained {trained} {transfers}
 
 ## What was randomized in training
 {randomized}
@@ -114,6 +120,7 @@ Not randomized: {not_randomized}.
 def page(contract: dict[str, Any], environment: RobotTask, *, film: bool) -> str:
     """The page of a bundle, as Markdown. `film`: whether it has a film."""
     run, robot, control, limits = (contract[name] for name in ("run", "robot", "control", "limits"))
+    changed = run["changed"]
     document = type(environment.task).__doc__ or ""
     joints = contract["joints"]
     links = contract["kinematics"]["links"]
@@ -154,6 +161,7 @@ def page(contract: dict[str, Any], environment: RobotTask, *, film: bool) -> str
         force=limits["force"],
         tool_speed=f"{limits['tool_speed']:g} m/s" if limits["tool_speed"] else "what the joints allow",
         payload=robot["payload"],
+        trained=f"without these changes: {' '.join(changed)}." if changed else "with the arm and gripper above.",
         transfers=_transfers(run["tests_under_changes"]),
         randomized="\n".join(f"* {name}: {_drawn(how)}" for name, how in contract["randomized"].items()) or "Nothing.",
         not_randomized=", ".join(
@@ -201,7 +209,8 @@ def _formula(one: dict[str, Any]) -> str:
         return "tanh of " + ", ".join(
             f"({name}[{column}] + {added:g}) / {scale:g}" for name, column, added, scale in one["of"]
         )
-    return WORDS[one["formula"]]
+    told = WORDS[one["formula"]].format(**one)
+    return told + "; then zeros" if one["formula"] in OF_JOINTS else told
 
 
 def _moved(one: dict[str, Any]) -> str:
@@ -215,6 +224,9 @@ def _meaning(contract: dict[str, Any]) -> list[str]:
     lines = []
     if control["mode"] == "joint":
         lines.append("Each number is a change of a joint within a control step.")
+        if any(one["formula"] in OF_JOINTS for one in contract["observation"]):
+            steps = _numbers(control["joint_step"])
+            lines.append(f"A number of 1 changes its joint by its step: {steps} rad. Further numbers move nothing.")
     elif spring is None:
         lines += [
             f"The action is a change of the tool's pose within a control step, along the {frame} axes, from where it",

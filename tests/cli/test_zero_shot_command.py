@@ -96,6 +96,11 @@ def test_a_policy_that_ships_is_its_last_and_says_so_if_best_is_asked_for(tmp_pa
         assert ("shipped without the checkpoint best: using last" in err) == told
 
 
+def test_changes_are_for_bundles_alone(runs: Path) -> None:
+    code, _, err = call(export_app, "@last", "robot.name=ur5", "--runs", str(runs))
+    assert (code, "'robot.name=ur5' changes nothing in a policy" in err, "add --bundle" in err) == (2, True, True)
+
+
 @pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last"), ("--checkpoint", "best")])
 def test_what_an_expert_does_not_have_is_refused(option: tuple[str, ...]) -> None:
     code, _, err = call(policy_app, "panda_reach", "--expert", "--episodes", "1", *option)

@@ -77,8 +77,8 @@ def test_inputs_of_another_size_are_refused(tmp_path: Path) -> None:
 
 
 def test_a_file_of_another_format_is_refused(tmp_path: Path) -> None:
-    np.savez(tmp_path / "newer.npz", format=np.int64(3))
+    np.savez(tmp_path / "newer.npz", format=np.int64(4))
     np.savez(tmp_path / "other.npz", weights=np.zeros(3))
-    for name, told in (("newer", "format 3"), ("other", "format None")):
+    for name, told in (("newer", "format 4"), ("other", "format None")):
         with pytest.raises(ValueError, match=told):
             NumpyPolicy(tmp_path / f"{name}.npz")

@@ -27,6 +27,14 @@ BITS = {"environment": {"name": "bit_flip", "bits": 4}}
 POLE = {"environment": {"name": "gymnasium", "id": "CartPole-v1"}}
 CASES: dict[str, dict[str, Any]] = {
     "sac": REPLAY | {"agent": {"name": "sac", "hidden": [16, 8], "fine_goal": 3}},
+    "sac_joints": REPLAY
+    | {
+        "environment": "robot_task",
+        "robot": {"name": "ur5", "control": "joint", "joint_slots": 8, "observe": ["rotation"]},
+        "task": {"name": "reach_pose", "max_steps": 10},
+        "agent": {"name": "sac", "hidden": [8, 16, 16], "per_joint": True, "fine_goal": 3},
+        "testing": {"interval": 120, "episodes": 2},
+    },
     "td3": REPLAY | {"agent": {"name": "td3", "hidden": [16]}},
     "ddpg": REPLAY | {"agent": {"name": "ddpg", "hidden": [16]}},
     "dqn": REPLAY | BITS | {"agent": {"name": "dqn", "hidden": [16, 8]}},
