@@ -24,7 +24,7 @@ from karolos.files import installed_file
 from karolos.plans.robot_score import PolicyScore, file_overrides, refused, score_policy
 from karolos.records.provenance import versions
 from karolos.records.shipped import FOLDER
-from karolos.robots.repair import Repair
+from karolos.robots.repair import XACRO, Repair
 
 ROWS = Path(__file__).parents[1] / "arms.jsonl"
 """A line for each policy on an arm with a gripper. Of several, the last one counts."""
@@ -102,7 +102,7 @@ def measure(arm: str, gripper: str, episodes: int, policies: Sequence[str]) -> N
     unfit: KarolosError | None = None
     with TemporaryDirectory() as scratch:
         try:
-            if found.suffix != ".xml" and "ros.org/wiki/xacro" in found.read_text(encoding="utf-8"):
+            if XACRO in found.read_text(encoding="utf-8"):
                 copy = Path(scratch) / f"{arm}.urdf"
                 Repair(found, file.mass, expand=True).write(copy)
                 found = copy

@@ -194,7 +194,7 @@ class _Source:
         root, lines = parse(path, text)
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
         """Place (file:line) of each element."""
-        if any("ros.org/wiki/xacro" in element.tag for element in root):
+        if any(element.tag.partition("}")[0].endswith("/xacro") for element in root):  # whichever address ROS had
             hint = f"`karolos robot check {path.name} --repair robot.urdf` expands them"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
         if root.tag != "robot" or root.find("link") is None:

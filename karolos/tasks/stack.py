@@ -11,11 +11,12 @@ from pydantic import Field as Setting
 
 from ..core import Expert, Field, FloatArray, Generator, Layout, Measure
 from ..core.parameters import Probability
+from ..core.settings import LATER
 from ..errors import UsageError
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import CUBE_COLOUR, HOVER_HEIGHT, Carrier, CarryTask, CubeSettings, aligned, check_gripper, fields, ground
-from .point_goal import Places, sample_apart
+from .point_goal import Places, sample_apart, sample_position
 from .settings import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
@@ -23,6 +24,8 @@ GAP = {2: 0.06, 3: 0.1}
 with a stack of two."""
 ABOVE = 0.05
 """Largest height in m above its place of a cube that starts there in the gripper."""
+HIGHEST_HELD = 0.15
+"""Largest height in m above its place of a cube that is to be held."""
 NEAR_SCALE = 0.02
 """Scale in m of additional observations tanh(error / scale), in which a network sees millimetres."""
 
@@ -34,7 +37,8 @@ class Stack(CarryTask):
     6 cm apart, with `height: 3` 10 cm. Stages that training may sample and tests never do: with `height: 3` and
     `start_stacked` the second cube already lies on the first. The next cube, each among the episodes without an earlier
     stage: `start_above` (in the gripper up to 5 cm above its place), `start_grasped` (in the gripper where it lies),
-    `start_near` (with the open gripper around or above it).
+    `start_near` (with the open gripper around or above it). With `goal_held` some training episodes have another goal:
+    to hold the second of two cubes up to 15 cm above its place in the pile, anywhere in the square.
 
     Observation: of each cube, from the lowest: cube_1_position (3, m), cube_1_rotation (6, two columns of its matrix),
     cube_1_velocity (3, m/s), cube_1_angular_velocity (3, rad/s), cube_1_from_tool (3, m); then cube_2_from_cube_1
@@ -56,6 +60,11 @@ class Stack(CarryTask):
         start_above: Probability = start("the next cube in the gripper above its place")
         start_grasped: Probability = start("the next cube in the gripper")
         start_near: Probability = start("the gripper near the next cube")
+        goal_held: Probability = Setting(
+            0.0,
+            json_schema_extra=LATER,
+            description="share of episodes whose goal is to hold the second of two cubes somewhere in the air",
+        )
         max_steps: int = Setting(
             100, ge=1, le=100_000, description="control steps per episode; three cubes take twice as many"
         )
@@ -78,7 +87,9 @@ class Stack(CarryTask):
         self.observation = Layout(tuple(observed))
         super().__init__(settings)
         self.goal_rule = Places(settings.threshold)
-        self.goal = np.array((0.0, 0.0, settings.object_size) * (number - 1) + (1.0,), np.float32)
+        self.stacked = np.array((0.0, 0.0, settings.object_size) * (number - 1) + (1.0,), np.float32)
+        """The goal of tests."""
+        self.goal = self.stacked
 
     def fit(self, robot: RobotView) -> None:
         settings, self._robot = self.settings, robot
@@ -111,6 +122,10 @@ class Stack(CarryTask):
             stage, places[standing] = "grasped", (x, y, z + standing * edge + ABOVE * generator.uniform())
         self._begin(cube, places[standing], stage, generator)
         self._free = stage != "grasped"
+        self.goal = self.stacked
+        if self.number == 2 and self.drawn.goal_held and generator.uniform() < self.drawn.goal_held:
+            to_x, to_y, _ = sample_position(generator, self.ground, "the cube to hold").tolist()
+            self.goal = np.array((to_x - x, to_y - y, edge + HIGHEST_HELD * generator.uniform(), 0.0), np.float32)
 
     def read(self) -> None:
         super().read()

@@ -92,10 +92,8 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
         ("<robot", "not an XML file"),
         ('<!DOCTYPE r [\n<!ENTITY e "x">]><robot/>', "urdf:2: it declares the entity 'e'"),
         ("<house/>", "not a URDF"),
-        (
-            '<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>',
-            "not expanded; `karolos robot check",
-        ),
+        ('<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
+        ('<robot xmlns:x="http://wiki.ros.org/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
         (robot(A, '<joint name="j" type="floating"/>'), "joint j: a floating joint"),
         (robot(A, '<joint name="j" type="revolute"/>'), "joint j: a joint without parent or child"),
         (robot(A, J), "joint j: there is no link 'b'"),

@@ -122,6 +122,23 @@ def test_a_stack_counts_only_where_cubes_stand_on_each_other_and_nothing_holds_t
     assert not environment.step(still).success
 
 
+def test_some_goals_of_training_are_a_cube_that_is_held_in_the_air():
+    environment, plain = made("stack", goal_held=0.5), made("stack")
+    goals = []
+    for seed in range(60):
+        start, usual = environment.reset(seed), plain.reset(seed)
+        assert start.achieved_goal.tolist() == usual.achieved_goal.tolist()
+        assert usual.desired_goal.tolist() == pytest.approx([0, 0, 0.04, 1])
+        goals.append(start.desired_goal)
+    stacked = [goal.tolist() == usual.desired_goal.tolist() for goal in goals]
+    assert np.mean(stacked) == pytest.approx(0.5, abs=0.2)
+    held = np.stack([goal for goal, one in zip(goals, stacked, strict=True) if not one])
+    assert (held[:, 3] == 0).all()  # in the hand or not
+    assert held[:, 2].min() > 0.04
+    assert 0.15 < held[:, 2].max() < 0.19
+    assert np.abs(held[:, :2]).max() > 0.05
+
+
 @pytest.mark.parametrize(("stacked", "height"), [(0.0, 0.02), (1.0, 0.06)])
 def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, height: float) -> None:
     environment = made("stack", height=3, max_steps=200, start_stacked=stacked)
