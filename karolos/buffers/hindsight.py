@@ -13,6 +13,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, FloatArray, GoalRule, Signature, Transitions
 from ..core import Settings as BaseSettings
+from ..core.settings import LATER
 from ..errors import PluginError, UsageError
 from .storage import Slots, Storage, StoredTransitions
 
@@ -51,6 +52,14 @@ class Hindsight:
             ge=0,
             description="keep the original goal if the new goal is closer than this to the goal achieved before the "
             "transition (in the goal's unit): nothing moved, so there is nothing to learn; 0: always relabel",
+        )
+        others_share: float = Setting(
+            0.0,
+            ge=0,
+            le=1,
+            json_schema_extra=LATER,
+            description="share of the transitions without a new goal that get the desired goal of another sampled "
+            "transition: what was done for one goal is judged by the others",
         )
         imitate: bool = Setting(
             False,
@@ -136,8 +145,15 @@ class Hindsight:
             displacement = goals - stored["achieved_goal"].take(chosen, axis=0)[:, : self._size]
             moved = np.flatnonzero(np.vecdot(displacement, displacement) >= self.settings.min_displacement**2)
             chosen, goals = chosen[moved], goals.take(moved, axis=0)
-        achieved = stored["next_achieved_goal"].take(chosen, axis=0)
         desired, terminated = stored["desired_goal"], stored["terminated"]
+        if self.settings.others_share:
+            # Source: the strategy "random" of Andrychowicz et al. 2017, with desired instead of achieved goals.
+            swapped = generator.random(slots.size, np.float32) < self.settings.others_share
+            swapped[chosen] = False
+            others = np.flatnonzero(swapped)
+            goals = np.concatenate((goals, desired[generator.integers(slots.size, size=others.size)]))
+            chosen = np.concatenate((chosen, others))
+        achieved = stored["next_achieved_goal"].take(chosen, axis=0)
         if self._goal_terminates:
             # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
             other_cause = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])

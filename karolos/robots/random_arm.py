@@ -15,6 +15,7 @@ from pydantic import Field as Setting
 
 from ..core import Array
 from ..core.seeding import Generator, SeedTree
+from ..core.settings import LATER
 from ..errors import MachineError, PluginError
 from ..files import fingerprint, user_cache, write_whole, writing
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector, quaternion_of
@@ -102,16 +103,21 @@ class RandomArm(Arm):
         """The settings of every arm, and its number."""
 
         arm: int = Setting(ge=0, le=1_000_000, description="number of the arm; each number gives another arm")
+        turning: bool = Setting(
+            False, json_schema_extra=LATER, description="only arms that can turn their tool, as poses ask for"
+        )
 
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:
         assert isinstance(settings, cls.Settings)
-        return _model(settings.arm, settings.gripper)
+        return _model(settings.arm, settings.gripper, settings.turning)
 
 
 @lru_cache(maxsize=256)
-def _model(arm: int, gripper: str | None) -> ArmModel:
+def _model(arm: int, gripper: str | None, turning: bool = False) -> ArmModel:
     """The first arm of this number that can work: its tool points down and moves fast enough in a large workspace.
+
+    With `turning` the tool can also be turned in a part of the workspace.
 
     Raises MachineError if there is no folder for caches, PluginError if none of the arms of this number can.
     """
@@ -132,6 +138,8 @@ def _model(arm: int, gripper: str | None) -> ArmModel:
         except PluginError:
             model = None
         if model is not None and _works(model):
+            if turning and model.dexterous is None:
+                continue
             return model
         write_whole(refused, "", durable=False)
     raise PluginError(f"none of {ATTEMPTS} sampled arms can work", setting="robot.arm", hint="choose another number")
