@@ -12,7 +12,7 @@ from karolos.simulation.geometry import Vector
 from karolos.simulation.interface import RobotView, World
 from karolos.simulation.shapes import Cuboid
 from karolos.tasks.cube import CarryTask, CubeSettings, aligned, check_gripper, fields, ground
-from karolos.tasks.point_goal import Places, sample_apart
+from karolos.tasks.point_goal import Places, sample_apart, sample_position
 from karolos.tasks.settings import drawn_stage, start
 
 INSIDE, WALL, HEIGHT = 0.1, 0.005, 0.04
@@ -21,6 +21,8 @@ APART = 0.12
 """Least distance in m of the cube from the middle of the bin at the start."""
 ABOVE = (0.05, 0.12)
 """Height in m above the floor of a cube that begins in the gripper above the bin."""
+HELD = 0.15
+"""Largest height in m above the floor of a cube that is to be held."""
 GREY = (0.45, 0.5, 0.55, 1.0)
 
 
@@ -41,7 +43,8 @@ class Bin(CarryTask):
     What is randomised: cube and bin, uniformly in a square of .3 m in the middle of the workspace, at least 12 cm
     apart. The cube begins in the gripper above the bin with probability `start_above`, of the other episodes in the
     gripper where it lies with `start_grasped`, of the others with the open gripper around or above it with
-    `start_near`: parameters that training may draw, tests never do.
+    `start_near`. With `goal_held` some goals are to hold the cube up to 15 cm above the floor, anywhere in the square.
+    Training may draw these parameters, tests never do.
 
     Observation: of the cube, position (3, m), rotation (6), velocity (3, m/s), angular_velocity (3, rad/s), from_tool
     (3, m); then bin_position (3, m) and cube_from_bin (3, m).
@@ -60,6 +63,7 @@ class Bin(CarryTask):
         start_above: Probability = start("the cube in the gripper above the bin")
         start_grasped: Probability = start("the cube in the gripper")
         start_near: Probability = start("the gripper near the cube")
+        goal_held: Probability = Setting(0.0, description="share of goals that are to hold the cube in the air")
         max_steps: int = Setting(50, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings
@@ -76,7 +80,8 @@ class Bin(CarryTask):
     def __init__(self, settings: Bin.Settings) -> None:
         super().__init__(settings)
         self.goal_rule = Places(settings.threshold)
-        self.goal = np.array((0.0, 0.0, WALL + settings.object_size / 2, 1.0), np.float32)
+        self.inside = np.array((0.0, 0.0, WALL + settings.object_size / 2, 1.0), np.float32)
+        self.goal = self.inside
 
     def fit(self, robot: RobotView) -> None:
         size, self._robot = self.settings.object_size, robot
@@ -99,6 +104,10 @@ class Bin(CarryTask):
             stage, place = "grasped", (x, y, HEIGHT + generator.uniform(*ABOVE))
         self._begin(self.cube, place, stage, generator)
         self._free = stage != "grasped"
+        self.goal = self.inside
+        if generator.uniform() < self.drawn.goal_held:
+            x, y, z = sample_position(generator, self.ground, "the cube to hold").tolist()
+            self.goal = np.array((*self._offset((x, y, z + HELD * generator.uniform())), 0.0), np.float32)
 
     def read(self) -> None:
         super().read()
