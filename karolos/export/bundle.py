@@ -124,8 +124,9 @@ def describe(
     """The contract: everything that is needed to run the policy. JSON-able, SI units, in the world's frame."""
     task, signature, spec = environment.task, saved.signature, played.dump()
     changed = [one for one in folder.transfers().rows if one.sha256 == saved.sha256]
-    here = [one for one in changed if one.overrides == tuple(changes)][-1:] if changes else [saved.tested]
-    tested = here[0].row() if here and here[0] is not None else None
+    wanted = tuple(changes), False
+    here = [one for one in changed if (one.overrides, one.randomized) == wanted] if changes else [saved.tested]
+    tested = here[-1].row() if here and here[-1] is not None else None
     drawn = saved.spec.dump().get("randomization", {})
     observed = _observed(signature.observation.acting, task)
     return {

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from karolos_deploy import Bundle, command
+from karolos_deploy.drivers import simulation
 from karolos_deploy.policy import NumpyPolicy
 from support.exported_policies import trained
 from support.parts import batch, make, signature
@@ -21,6 +22,7 @@ from karolos.errors import UsageError
 from karolos.export import bundle
 from karolos.export.export import arrays
 from karolos.export.onnx_file import run_onnx, write_onnx
+from karolos.export.simulated_robot import Server
 from karolos.report.video import write_film
 
 pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once
@@ -85,11 +87,27 @@ def test_a_bundle_for_another_arm_computes_what_joints_do_from_its_readings(for_
     assert "Trained without these changes: robot.name=panda." in page
 
 
-def test_karolos_deploy_runs_it_on_a_simulated_arm(for_panda: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    code = command.main([str(for_panda), "--move", "--json", "--rate", "125", "--set", "clock=simulated"])
+def test_karolos_deploy_runs_it_on_a_simulated_arm(
+    for_panda: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    served = Server(for_panda)  # in this process, which need not start another one
+
+    class Direct:
+        def __init__(self, _address: str) -> None: ...
+
+        def ask(self, **request: Any) -> dict[str, Any]:
+            return served.answer(request)
+
+        def close(self) -> None: ...
+
+    monkeypatch.setattr(simulation, "Channel", Direct)
+    settings = ["--set", "clock=simulated", "--set", "address=here"]
+    code = command.main([str(for_panda), "--move", "--json", "--rate", "125", *settings])
     told = capsys.readouterr()
     assert code == 0, told.err
     assert json.loads(told.out)["episodes"] == 1
+    assert served.robot is not None
+    assert served.robot.time == pytest.approx(10 / 24, abs=0.02), "ten actions"
 
 
 def test_an_arm_with_another_layout_is_refused(tmp_path: Path) -> None:
