@@ -31,10 +31,10 @@ from karolos.training.assembly import make_agent, make_orchestrator
 REFERENCES = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "_scripts" / "references.py"))
 
 
-def test_a_policy_ships_for_every_pair_of_robot_and_task_and_for_a_cell() -> None:
+def test_a_policy_ships_for_every_pair_of_robot_and_task_for_a_cell_and_for_poses() -> None:
     learned = ("reach", "push", "pick", "throw", "insert", "stack_demos", "slide_demos", "reorient_demos", "open")
     pairs = product(("panda", "ur5", "iiwa"), learned)
-    assert {*(f"{robot}_{task}" for robot, task in pairs), "ur5_pick_cell", "ur5_insert_cell"} == set(shipped_names())
+    assert {*(f"{robot}_{task}" for robot, task in pairs), "ur5_pick_cell", "ur5_insert_cell", "ur5_reach_pose"} == set(shipped_names())
 
 
 @pytest.mark.parametrize("name", shipped_names())
