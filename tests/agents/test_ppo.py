@@ -109,18 +109,6 @@ def test_learning_from_saturated_actions_stays_finite() -> None:
     ).all()
 
 
-def test_probabilities_are_those_of_torch() -> None:
-    head, action = torch.randn(5, 3), torch.randn(5, 3)
-    gaussian = Gaussian(3, 0.7, "cpu")
-    gaussian.log_std.copy_(torch.tensor([-1.0, 0.0, 0.5]))
-    normal = torch.distributions.Normal(head, gaussian.log_std.exp())
-    torch.testing.assert_close(gaussian.log_probability(head, action), normal.log_prob(action).sum(-1))
-    torch.testing.assert_close(gaussian.entropy(head), normal.entropy().sum(-1))
-    categorical, chosen = torch.distributions.Categorical(logits=head), torch.tensor([0.0, 2, 1, 1, 0])
-    torch.testing.assert_close(Categorical(3).log_probability(head, chosen[:, None]), categorical.log_prob(chosen))
-    torch.testing.assert_close(Categorical(3).entropy(head), categorical.entropy())
-
-
 def test_samples_have_the_spread_they_say_and_categories_their_probabilities() -> None:
     generator = torch.Generator().manual_seed(0)
     actions = Gaussian(1, 0.5, "cpu").sample(torch.full((20_000, 1), 3.0), generator)

@@ -1,7 +1,6 @@
 """SAC: what its values mean, what it refuses, and that it goes on where it stopped."""
 
 from functools import partial
-from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +13,7 @@ from support.states import assert_same_state
 from karolos.agents.inputs import ALL_OBSERVED, OBSERVED_EVERY, TensorBatch, tensor_batch
 from karolos.agents.sac import SAC
 from karolos.agents.squashed_gaussian import SquashedActions
+from karolos.plugins.contracts import check
 
 make = partial(parts.make, SAC)
 
@@ -90,21 +90,8 @@ def test_temperature_never_falls_below_its_minimum() -> None:
     assert agent.log_temperature.exp().item() == pytest.approx(0.02)
 
 
-def test_learning_goes_on_bit_for_bit_in_a_fresh_agent() -> None:
-    settings: dict[str, Any] = {"layer_norm": True, "precision": "bfloat16", "policy_average": 0.1}
-    whole, first, second = make(**settings), make(**settings), make(seed=7, **settings)
-    for seed in range(12):
-        whole.learn(batch(32, signature(), seed))
-        whole.act(*_seen(seed), explore=True)
-    for seed in range(6):
-        first.learn(batch(32, signature(), seed))
-        first.act(*_seen(seed), explore=True)
-    second.load_state(first.state())
-    for seed in range(6, 12):
-        second.learn(batch(32, signature(), seed))
-        second.act(*_seen(seed), explore=True)
-    assert_same_state(whole.state(), second.state())
-    np.testing.assert_array_equal(whole.act(*_seen(0), explore=True), second.act(*_seen(0), explore=True))
+def test_promises_of_agents_hold_in_bfloat16_with_an_average_policy() -> None:
+    check("agents", "sac", layer_norm=True, precision="bfloat16", policy_average=0.1)
 
 
 def test_a_state_of_a_gpu_goes_on_with_the_same_policy_and_other_random_numbers() -> None:
