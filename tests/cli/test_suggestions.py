@@ -13,13 +13,11 @@ from typer.testing import CliRunner
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
+def runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("COLUMNS", "200")
-    add_run(tmp_path, 0)
-    write_sweep(tmp_path, "grid", [some_trial(0)])
-    return tmp_path
+    add_run(runs, 0)
+    write_sweep(runs, "grid", [some_trial(0)])
+    return runs
 
 
 @pytest.mark.usefixtures("runs")
@@ -34,6 +32,8 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("sweeps show gird", "did you mean 'grid'?"),
         ("inspect robot pnada", "did you mean 'panda'?"),
         ("plugins show robto panda", "did you mean 'robots'?"),
+        ("plugins show robot pnada", "did you mean 'panda'?"),
+        ("plugins list robto", "did you mean 'robots'?"),
     ],
 )
 def test_closest_value_is_suggested(command: str, suggestion: str) -> None:

@@ -18,15 +18,13 @@ from karolos.records.sweep_records import SweepFinal
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def runs(runs: Path) -> Path:
     """A runs folder with a sweep that came to its end, and one that was interrupted."""
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
     trials = [some_trial(0, value=0.9), some_trial(1, "failed"), some_trial(2, value=0.8)]
     final = SweepFinal(2, (1,), (2,), (0.8, 1000.0), {0: (0.6, 1500.0), 2: (0.7, 1200.0)}, (0.65, 1300.0))
-    write_sweep(tmp_path, "done", trials, final)
-    write_sweep(tmp_path, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
-    return tmp_path
+    write_sweep(runs, "done", trials, final)
+    write_sweep(runs, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
+    return runs
 
 
 def test_list_says_how_far_sweeps_are_and_which_trial_is_best(runs: Path) -> None:
