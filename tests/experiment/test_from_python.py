@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import sys
@@ -11,8 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from karolos_cli import runs as runs_command
-from support.commands import call
 from support.toy_runs import toy
 
 import karolos
@@ -91,13 +88,3 @@ def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path: Path, caps
     head, line = str(outcome).splitlines()
     assert head.split() == ["run", "state", "steps", "return", "success", "end", "seconds"]
     assert line.split()[:3] == [outcome.runs[0].run, "finished", "40"]
-
-
-def test_columns_of_runs_list(folder: Path) -> None:
-    where = ("--runs", str(folder))
-    code, out, _ = call(runs_command.app, "list", "--columns", "run,agent.learning_rate", "--json", *where)
-    assert code == 0
-    assert list(json.loads(out)) == ["run", "agent.learning_rate"]
-    assert "agent.hidden" in call(runs_command.app, "list", "--columns", "seed,agent.hidden", *where)[1]
-    code, _, told = call(runs_command.app, "list", "--columns", "agent.hiden", *where)
-    assert (code, "did you mean 'agent.hidden'?" in told) == (2, True)

@@ -101,9 +101,10 @@ def test_another_agent_and_other_networks_are_refused(source: RunFolder) -> None
         find(spec(source.id, "agent.hidden=[16]"), source.path.parent)
 
 
-def test_a_run_that_is_not_there_is_refused_before_a_folder_is_made(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="'nobody'"):
-        Experiment(spec("nobody")).run(tmp_path)
+@pytest.mark.parametrize(("name", "told"), [("nobody", "'nobody'"), ("x" * 300, "not a run folder")])
+def test_a_run_that_is_not_there_is_refused_before_a_folder_is_made(tmp_path: Path, name: str, told: str) -> None:
+    with pytest.raises(UsageError, match=told):
+        Experiment(spec(name)).run(tmp_path)
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 

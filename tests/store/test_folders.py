@@ -242,12 +242,12 @@ def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path: Pa
 
 DAMAGE = [
     ("seed", "9" * 5000),
-    ("seed", "-1"),
+    *(("seed", "-1"), ("seed", '"1"')),
     ("experiment", "3"),
-    ("versions", "[1]"),
-    ("git", "[1]"),
-    ("command", "[1]"),
-    ("created", '"\\ud800"'),
+    *(("versions", "[1]"), ("versions", '{"numpy": 2}')),
+    *(("git", '"abc"'), ("git", "[1]"), ("git", '{"commit": 7}')),
+    *(("command", "5"), ("command", "[1]")),
+    *(("created", "null"), ("created", '"\\ud800"')),
     ("id", '"../x"'),
     ("id", '"sweeps"'),
 ]
