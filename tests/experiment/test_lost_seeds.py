@@ -108,13 +108,3 @@ def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) 
     with Store(Store.default_url(tmp_path)) as store:
         assert store.runs() == outcome.runs
         assert list(check(store, tmp_path)) == []
-
-
-def test_finished_runs_of_a_driver_that_was_killed_are_entered_by_the_next(tmp_path: Path) -> None:
-    spec = TOY | {"seeds": [0, 1]}
-    Experiment(spec).run(tmp_path)
-    (tmp_path / "karolos.sqlite").unlink()
-    Experiment(spec).run(tmp_path, jobs=2, existing="resume")
-    with Store(Store.default_url(tmp_path)) as store:
-        assert len(store.runs()) == 2
-        assert not list(check(store, tmp_path))

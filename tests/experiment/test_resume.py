@@ -47,11 +47,7 @@ CASES = {
         "buffer": {"name": "on_policy", "rollout": 8},
         "training": {"steps": 240},
     },
-    "td3, uniform, 2 processes": {
-        "agent": SAC | {"name": "td3"},
-        "buffer": {"name": "uniform", "capacity": 400},
-        "orchestrator": {"processes": 2, "environments": 2},
-    },
+    "td3, uniform": {"agent": SAC | {"name": "td3"}, "buffer": {"name": "uniform", "capacity": 400}},
 }
 
 
@@ -94,11 +90,12 @@ def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_run_in_two_processes_that_is_stopped_and_resumed_equals_one_without_a_break_in_one_bit_for_bit(
+    case: str, tmp_path: Path
 ) -> None:
     spec = BASE | CASES[case]
     whole = only(Experiment(spec).run(tmp_path / "whole"))
+    spec |= {"orchestrator": {"processes": 2, "environments": 2}}
     broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert broken.runs[0].state == "stopped"
     assert broken.exit_code == 143

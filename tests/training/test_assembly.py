@@ -1,22 +1,17 @@
-"""Parts that do not go together are refused before anything runs, at file:line:column; and layouts change no result."""
+"""Parts that do not go together are refused before anything runs, at file:line:column."""
 
 import re
-from functools import cache
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import pytest
 from support.faulty_environments import FAULTS
 from support.spec_files import REFUSED, problems_of, write
-from support.states import assert_same_state
 
-from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.specification import load_spec, spec_from_dict
 from karolos.system import memory
-from karolos.training.assembly import check_parts, make_agent, make_buffer, make_orchestrator
-from karolos.training.training import Training
+from karolos.training.assembly import check_parts
 
 
 @pytest.mark.parametrize("case", REFUSED["parts"])
@@ -155,52 +150,6 @@ def test_what_a_robot_cannot_do_in_its_first_steps_is_told_at_the_task(
     told = "task.name: Panda: the tool cannot reach (0, 0, 0) m; its workspace is higher"
     with pytest.raises(PluginError, match=f"^{re.escape(f'{path}:2:7: {told}')}$"):
         check_parts(load_spec(path))
-
-
-LEARNERS: dict[str, dict[str, Any]] = {
-    "sac": {
-        "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
-        "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {"strategy": "future"}},
-        "training": {"batch_size": 16, "replay_ratio": 8, "warmup_episodes": 4},
-    },
-    "ppo": {
-        "agent": {"name": "ppo", "hidden": [16], "epochs": 2, "minibatches": 2},
-        "buffer": {"name": "on_policy", "rollout": 8},
-    },
-}
-
-
-@cache
-def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int = 60) -> dict[str, Any]:
-    """All states after some rounds of four environments; those after `saved_after` go to new parts meanwhile."""
-    layout = {"processes": processes, "environments": 4 // max(processes, 1)}
-    spec = spec_from_dict({"environment": "toy", "orchestrator": layout, **LEARNERS[learner]})
-    seeds, states = SeedTree(3), {}
-    for count in (saved_after, rounds - saved_after) if saved_after else (rounds,):
-        with make_orchestrator(spec, randomize=True) as orchestrator:
-            agent = make_agent(spec, orchestrator.signature, seeds)
-            buffer = make_buffer(spec, orchestrator.signature, seeds, environments=4, discount=agent.discount)
-            training = Training(orchestrator, agent, buffer, spec.training, seeds)
-            parts = {"agent": agent, "buffer": buffer, "training": training}
-            for name, state in states.items():
-                parts[name].load_state(state)
-            last = list(islice(training.rounds(), count))[-1]
-            states = {name: part.state() for name, part in parts.items()}
-    assert last.updates > 20
-    return states
-
-
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_what_is_learned_does_not_depend_on_the_number_of_processes(learner: str) -> None:
-    alone = trained(learner, 0)
-    for processes in (1, 2):
-        assert_same_state(alone, trained(learner, processes))
-
-
-@pytest.mark.parametrize("saved_after", [1, 37])
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_new_parts_go_on_bit_for_bit_from_saved_states(learner: str, saved_after: int) -> None:
-    assert_same_state(trained(learner, 0), trained(learner, 0, saved_after=saved_after))
 
 
 def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions() -> None:
