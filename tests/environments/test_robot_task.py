@@ -26,26 +26,18 @@ def normal(mean: float, std: float) -> Part:
     return part("distributions", "normal", mean=mean, std=std)
 
 
-@pytest.mark.parametrize("action", [np.zeros(4), np.zeros((1, 3)), np.float32(0), np.zeros(0)])
-def test_action_of_a_wrong_shape_is_refused_by_name(action: np.ndarray) -> None:
+def test_a_step_without_a_reset_or_a_proper_action_is_refused_and_the_episode_goes_on() -> None:
     made = environment()
-    made.reset(0)
-    with pytest.raises(ValueError, match=r"PandaReach: an action has the shape \(3,\)"):
-        made.step(action)
-
-
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_action_that_is_not_finite_is_refused_and_the_episode_goes_on(value: float) -> None:
-    made = environment()
-    made.reset(0)
-    with pytest.raises(ValueError, match="PandaReach: an action must be finite"):
-        made.step(np.array([0.0, value, 0.0]))
-    assert np.isfinite(made.step(np.zeros(3)).observation).all()
-
-
-def test_step_before_the_first_reset_is_refused() -> None:
     with pytest.raises(RuntimeError, match="reset"):
-        environment().step(np.zeros(3))
+        made.step(np.zeros(3))
+    made.reset(0)
+    for action in (np.zeros(4), np.zeros((1, 3)), np.float32(0), np.zeros(0)):
+        with pytest.raises(ValueError, match=r"PandaReach: an action has the shape \(3,\)"):
+            made.step(action)
+    for value in (np.nan, np.inf, -np.inf):
+        with pytest.raises(ValueError, match="PandaReach: an action must be finite"):
+            made.step(np.array([0.0, value, 0.0]))
+        assert np.isfinite(made.step(np.zeros(3)).observation).all()
 
 
 def test_actions_beyond_one_are_clipped() -> None:

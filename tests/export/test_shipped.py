@@ -36,7 +36,7 @@ def test_a_policy_ships_for_every_pair_of_robot_and_task_and_for_a_cell() -> Non
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_a_run_that_ships_is_of_the_spec_that_ships_and_its_policy_acts_as_its_agent_did(name: str) -> None:
+def test_a_run_that_ships_is_of_its_spec_and_its_policy_acts_as_its_agent_did_and_succeeds_as_it_did(name: str) -> None:
     folder = RunFolder.open(FOLDER / name)
     assert list(REFERENCES["faults"](folder)) == []
     saved = load_agent(folder)
@@ -44,12 +44,6 @@ def test_a_run_that_ships_is_of_the_spec_that_ships_and_its_policy_acts_as_its_a
     golden = np.load(folder.path / "golden.npz")
     for act in (NumpyPolicy(folder.path / POLICY), saved.act):
         assert np.abs(act(golden["observation"], golden["desired_goal"]) - golden["action"]).max() < 1e-4
-
-
-@pytest.mark.parametrize("name", shipped_names())
-def test_a_policy_that_ships_succeeds_where_it_did_in_its_final_test(name: str) -> None:
-    folder = RunFolder.open(FOLDER / name)
-    saved = load_agent(folder, "last")
     few = ("orchestrator.processes=0", "orchestrator.environments=2")  # building worlds takes longer than episodes
     spec = changed_spec(saved.spec, few, trained=saved.signature)
     with make_orchestrator(spec, randomize=False) as environments:
