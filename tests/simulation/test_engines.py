@@ -346,6 +346,7 @@ def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch
 def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_nobody(engine: Engine) -> None:
     code = (
         "import sys\n"
+        "import karolos.environments.build\n"
         "from karolos.environments.robot_task import RobotTask\n"
         "from karolos.robots.panda import Panda\n"
         "from karolos.tasks.reach import Reach\n"

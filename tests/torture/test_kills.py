@@ -146,12 +146,6 @@ LEARNS: dict[str, Any] = {
 """Undisturbed it reaches 1.0 within 1500 steps."""
 
 
-@pytest.fixture
-def heard_always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run is heard of after each round, however fast it is."""
-    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
-
-
 class Killer:
     """A listener that kills one of the run's workers, training's or the tests', every so many steps, amid the work."""
 
@@ -177,20 +171,10 @@ class Killer:
         self.killed += 1
 
 
-@pytest.mark.usefixtures("heard_always")
-def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
-    spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
-    killer = Killer(interval=150)
-    (disturbed,) = Experiment(spec).run(tmp_path / "killed", listener=killer).runs
-    (undisturbed,) = Experiment(spec).run(tmp_path / "whole").runs
-    assert killer.killed >= 3
-    assert killer.warnings
-    folder, reference = RunFolder.open(disturbed.folder), RunFolder.open(undisturbed.folder)
-    assert run_differences(folder, reference, Store.default_url(tmp_path / "killed")) == []
-
-
-@pytest.mark.usefixtures("heard_always")
-def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(tmp_path: Path) -> None:
+def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)  # it is heard of after each round, however fast it is
     killer = Killer(interval=350)
     before = shared_memory()
     spec = LEARNS | {"training": LEARNS["training"] | {"mode": "async"}}
