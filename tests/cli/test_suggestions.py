@@ -29,6 +29,8 @@ def runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("runs list agent.learning_rat=1", "did you mean agent.learning_rate?"),
         ("runs list --columns run,sucess_end", "did you mean 'success_end'?"),
         ("runs show reech", "did you mean 'reach'?"),
+        ("play panda_pik", "did you mean 'panda_pick', a shipped policy?"),
+        ("play nothing_like_it", "policies ship, e.g. panda_pick"),
         ("sweeps show gird", "did you mean 'grid'?"),
         ("inspect robot pnada", "did you mean 'panda'?"),
         ("plugins show robto panda", "did you mean 'robots'?"),

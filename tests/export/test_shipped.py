@@ -117,15 +117,3 @@ def test_a_run_starts_from_a_policy_that_ships(tmp_path: Path) -> None:
     golden = np.load(FOLDER / "panda_reach" / "golden.npz")
     acted = agent.act(golden["observation"], golden["desired_goal"], explore=False)
     assert np.abs(acted - golden["action"]).max() < 1e-4
-
-
-def test_an_unknown_name_is_refused_with_the_closest_policy_that_ships(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    code, _, err = call(app, "play", "panda_pik")
-    assert code == 2
-    assert "'panda_pik' means no run" in err
-    assert "did you mean 'panda_pick', a shipped policy?" in err
-    _, _, err = call(app, "play", "nothing_like_it")
-    assert f"{len(shipped_names())} policies ship, e.g. panda_pick" in err
