@@ -70,7 +70,7 @@ def shrunk(words: list[str]) -> list[str]:
     """A karolos command at toy size."""
     if words[0] == "resume":
         return [re.sub(STEPS, "training.steps=80", word) for word in words]
-    if words[0] == "compare" and "figures" in words and "--figure" not in words:
+    if words[0] == "compare" and "--out" in words and "--figure" not in words:
         return [*words, "--figure", "steps"]  # tests/report draws all of them
     if words[0] != "run":
         short = ["task.max_steps=5"] if words[0] == "play" and not words[1].startswith("@") else []
