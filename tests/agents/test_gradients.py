@@ -63,7 +63,7 @@ def shown(action: Tensor, better: Tensor, inputs: TensorBatch, *, cloning: bool)
 
 @pytest.mark.parametrize("critic_only", [0, 4])
 @pytest.mark.parametrize("options", [*OPTIONS, {"critic": {}}, {"critic": {"quantiles": 5}, "imitation": 2.0}])
-def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_only: int) -> None:
+def test_sacs_gradients_are_those_of_its_losses(options, critic_only):
     settings = SAC.Settings.model_validate({**STILL, "temperature": 0.3, **options})
     agent = SAC(settings, signature(critic_only=critic_only), SeedTree(0))
     before = agent.generator.get_state()
@@ -99,7 +99,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_
 
 @pytest.mark.parametrize("agent", [DDPG, TD3])
 @pytest.mark.parametrize("options", OPTIONS)
-def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, options: dict[str, Any]) -> None:
+def test_deterministic_agents_gradients_are_those_of_their_losses(agent, options):
     more = {"policy_delay": 1, "target_noise": 0.0} if agent is TD3 else {}
     settings = agent.Settings.model_validate({**STILL, **more, **options})
     made = agent(settings, signature(), SeedTree(0))
@@ -118,7 +118,7 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 
-def test_without_demonstrations_nothing_is_imitated() -> None:
+def test_without_demonstrations_nothing_is_imitated():
     for agent in (SAC, DDPG, TD3):
         made = agent(agent.Settings.model_validate({**STILL, "imitation": 1.0}), signature(), SeedTree(0))
         assert "imitation_loss" not in made.learn(batch(64, signature()))
@@ -128,7 +128,7 @@ def test_without_demonstrations_nothing_is_imitated() -> None:
 
 @pytest.mark.parametrize("dueling", [False, True])
 @pytest.mark.parametrize("options", [{}, {"loss": "squared"}, {"layer_norm": True}, {"double_q": False}])
-def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: bool) -> None:
+def test_dqns_gradient_is_that_of_its_loss(options, dueling):
     actions = 4
     of = replace(signature(), action=Discrete(tuple(map(str, range(actions)))))
     taken = np.random.default_rng(1).integers(actions, size=(64, 1))
@@ -155,7 +155,7 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
 
 @pytest.mark.parametrize("options", [{}, {"entropy": 0.3}, {"value_clip": 0.1, "clip": 0.05}])
 @pytest.mark.parametrize("discrete", [False, True])
-def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[str, Any]) -> None:
+def test_ppos_gradients_are_those_of_its_losses(discrete, options):
     settings = PPO.Settings.model_validate(
         {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
     )

@@ -1,7 +1,5 @@
 """`karolos check`."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """`karolos plugins list` and `karolos plugins show`."""
 
-from __future__ import annotations
-
 import json
 import sys
 

@@ -1,7 +1,5 @@
 """`karolos run` and what ends it, through the installed command."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

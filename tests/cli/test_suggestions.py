@@ -1,7 +1,5 @@
 """A mistyped value is answered with the closest one that exists."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -38,7 +36,7 @@ def runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("plugins list robto", "did you mean 'robots'?"),
     ],
 )
-def test_closest_value_is_suggested(command: str, suggestion: str) -> None:
+def test_closest_value_is_suggested(command, suggestion):
     code, out, err = call(app, *command.split())
     assert code == 2
     assert suggestion in err, err
@@ -62,7 +60,7 @@ def test_closest_value_is_suggested(command: str, suggestion: str) -> None:
         ("runs tag x go", "good"),
     ],
 )
-def test_tab_completes(runs: Path, monkeypatch: pytest.MonkeyPatch, words: str, found: str) -> None:
+def test_tab_completes(runs, monkeypatch, words, found):
     monkeypatch.chdir(runs)
     for path in (Path("my.yaml"), Path("my/other.yml")):
         path.parent.mkdir(exist_ok=True)

@@ -1,7 +1,5 @@
 """An experiment from Python: what it leaves behind, and what happens when something goes wrong."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """What killed processes leave behind, and folders whose content is crafted."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -43,7 +41,7 @@ def folder(made: Path, tmp_path: Path) -> RunFolder:
     return RunFolder.open(shutil.copytree(made, tmp_path / made.name))
 
 
-def test_a_resumed_run_removes_files_that_its_killed_process_did_not_finish(folder: RunFolder, dead: int) -> None:
+def test_a_resumed_run_removes_files_that_its_killed_process_did_not_finish(folder, dead):
     ours = folder.path / f".state.json.{dead}.tmp"
     others = folder.path / f".labels.json.{os.getpid()}.tmp"
     for path in (ours, others):
@@ -75,9 +73,7 @@ UNFIT = "does not fit the run's spec"
         (lambda _, meta: meta.update(seconds="long"), UNFIT),
     ],
 )
-def test_a_crafted_checkpoint_is_one_clear_error_to_who_plays_it_or_starts_from_it(
-    folder: RunFolder, change: Any, expected: str
-) -> None:
+def test_a_crafted_checkpoint_is_one_clear_error_to_who_plays_it_or_starts_from_it(folder, change, expected):
     crafted(folder, "best", change)
     with pytest.raises(RunError, match=expected) as caught:
         load_agent(folder, "best")
@@ -91,7 +87,7 @@ def test_a_crafted_checkpoint_is_one_clear_error_to_who_plays_it_or_starts_from_
 @pytest.mark.parametrize(
     "change", [lambda _, meta: meta.pop("updates"), lambda _, meta: meta.update(episodes_bytes="1")]
 )
-def test_a_crafted_checkpoint_is_not_resumed(folder: RunFolder, change: Any) -> None:
+def test_a_crafted_checkpoint_is_not_resumed(folder, change):
     crafted(folder, "last", change)
     folder.set_state("running")
     with pytest.raises(RunError, match="as whole numbers"):
@@ -115,7 +111,7 @@ INNER: dict[str, Callable[[dict[str, Any]], object]] = {
 
 
 @pytest.mark.parametrize("case", INNER)
-def test_a_crafted_content_of_a_checkpoint_is_one_clear_error_at_resume(folder: RunFolder, case: str) -> None:
+def test_a_crafted_content_of_a_checkpoint_is_one_clear_error_at_resume(folder, case):
     crafted(folder, "last", lambda parts, _: INNER[case](parts))
     folder.set_state("running")
     (run,) = resume_run(folder, Store.default_url(folder.path.parent)).runs
@@ -126,9 +122,7 @@ def test_a_crafted_content_of_a_checkpoint_is_one_clear_error_at_resume(folder: 
     assert folder.events()[-1].get("traceback") is None
 
 
-def test_the_next_start_removes_what_killed_processes_left_in_runs_that_nobody_resumes(
-    folder: RunFolder, dead: int
-) -> None:
+def test_the_next_start_removes_what_killed_processes_left_in_runs_that_nobody_resumes(folder, dead):
     runs = folder.path.parent
     ours = folder.path / f".state.json.{dead}.tmp"
     ours.write_text("{")
@@ -143,7 +137,7 @@ def test_the_next_start_removes_what_killed_processes_left_in_runs_that_nobody_r
     assert imported.exists()
 
 
-def test_files_of_a_run_that_goes_on_stay(folder: RunFolder, dead: int) -> None:
+def test_files_of_a_run_that_goes_on_stay(folder, dead):
     ours = folder.path / f".state.json.{dead}.tmp"
     ours.write_text("{")
     folder.lock()

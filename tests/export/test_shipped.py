@@ -29,14 +29,14 @@ from karolos.training.assembly import make_agent, make_orchestrator
 REFERENCES = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "_scripts" / "references.py"))
 
 
-def test_a_policy_ships_for_every_pair_of_robot_and_task_and_for_a_cell() -> None:
+def test_a_policy_ships_for_every_pair_of_robot_and_task_and_for_a_cell():
     learned = ("reach", "push", "pick", "throw", "insert", "stack_demos", "slide_demos", "reorient_demos", "open")
     pairs = product(("panda", "ur5", "iiwa"), learned)
     assert {*(f"{robot}_{task}" for robot, task in pairs), "ur5_pick_cell"} == set(shipped_names())
 
 
 @pytest.mark.parametrize("name", shipped_names())
-def test_a_run_that_ships_is_of_its_spec_and_its_policy_acts_as_its_agent_did_and_succeeds_as_it_did(name: str) -> None:
+def test_a_run_that_ships_is_of_its_spec_and_its_policy_acts_as_its_agent_did_and_succeeds_as_it_did(name):
     folder = RunFolder.open(FOLDER / name)
     assert list(REFERENCES["faults"](folder)) == []
     saved = load_agent(folder)
@@ -54,9 +54,7 @@ def test_a_run_that_ships_is_of_its_spec_and_its_policy_acts_as_its_agent_did_an
 
 
 @pytest.mark.parametrize("missing", [False, True])
-def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_plays_in_another(
-    missing: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_keeps_the_engine_of_its_run_and_one_line_says_so_where_it_plays_in_another(missing, monkeypatch):
     folder = RunFolder.open(FOLDER / "panda_reach")
     own = folder.spec()["environment"]["engine"]
     other = "mujoco" if own == "bullet" else "bullet"
@@ -89,9 +87,7 @@ TEST = ("test", "panda_reach", "robot=ur5", "--episodes", "4", "--json")
 @pytest.mark.parametrize(
     "command", [EXPERT, TEST, ("export", "panda_reach", "--json"), ("compare", "panda_reach", "ur5_reach", "--json")]
 )
-def test_a_policy_that_ships_is_a_policy_in_every_command(
-    command: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_that_ships_is_a_policy_in_every_command(command, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, err = call(app, *command)
     assert code == 0, err
@@ -106,7 +102,7 @@ def test_a_policy_that_ships_is_a_policy_in_every_command(
     assert karolos.load("panda_reach").steps == RunFolder.open(FOLDER / "panda_reach").state().steps
 
 
-def test_a_run_starts_from_a_policy_that_ships(tmp_path: Path) -> None:
+def test_a_run_starts_from_a_policy_that_ships(tmp_path):
     resolved = RunFolder.open(FOLDER / "panda_reach").spec()
     spec = spec_from_dict(resolved, ["agent.start_from=panda_reach", "training.steps=32"])
     start = find(spec, tmp_path)

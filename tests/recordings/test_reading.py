@@ -1,7 +1,5 @@
 """Recordings in: other people's files, what is computed again, and what is refused in one line."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from collections.abc import Callable
@@ -35,7 +33,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(recorded: Path) -> None:
+def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(recorded):
     expected = read_recordings(recorded / "own", facts(), {}, 100)
     found = read_recordings(recorded / "foreign", facts(), COLUMNS, 100)
     assert found.successes == expected.successes > 0
@@ -47,7 +45,7 @@ def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(recorded: Pa
         assert one.truncated.tolist() == [False] * (len(one.reward) - 1) + [True]
 
 
-def test_a_run_learns_from_a_recording_which_is_part_of_what_it_is(tmp_path: Path) -> None:
+def test_a_run_learns_from_a_recording_which_is_part_of_what_it_is(tmp_path):
     path = lerobot(tmp_path)
     given = {**REACH, "demonstrations": {"file": str(path), "episodes": 2}}
     outcome = Experiment(given).run(tmp_path / "runs")
@@ -125,7 +123,7 @@ DAMAGES: dict[str, tuple[Damage, dict[str, str], str]] = {
 
 
 @pytest.mark.parametrize("name", DAMAGES)
-def test_a_damaged_recording_is_one_line_and_nothing_is_run(name: str, recorded: Path, tmp_path: Path) -> None:
+def test_a_damaged_recording_is_one_line_and_nothing_is_run(name, recorded, tmp_path):
     damage, columns, expected = DAMAGES[name]
     path = shutil.copytree(recorded / "foreign", tmp_path / "foreign")
     damage(path)
@@ -138,14 +136,14 @@ def test_a_damaged_recording_is_one_line_and_nothing_is_run(name: str, recorded:
     assert not list((tmp_path / "runs").glob("*-s0-*"))
 
 
-def test_joints_in_degrees_are_noticed(recorded: Path) -> None:
+def test_joints_in_degrees_are_noticed(recorded):
     joints = spec_from_dict(REACH, ["robot.control=joint"]).recipe(randomize=False)
     columns = {**COLUMNS, "joint_positions": "joints SI", "joint_velocities": "joints deg/s"}
     with pytest.raises(UsageError, match=r"joint_positions is 90 rad; .* degrees, .*joint_positions: joints deg"):
         read_recordings(recorded / "foreign", facts(joints), columns, 1)
 
 
-def test_a_recording_of_another_environment_is_refused(recorded: Path) -> None:
+def test_a_recording_of_another_environment_is_refused(recorded):
     slower = spec_from_dict(REACH, ["environment.substeps=20"]).recipe(randomize=False)
     with pytest.raises(UsageError, match="it has 24 steps a second, and this environment 12"):
         read_recordings(recorded / "own", facts(slower), {}, 1)
@@ -154,7 +152,7 @@ def test_a_recording_of_another_environment_is_refused(recorded: Path) -> None:
         read_recordings(recorded / "own", facts(other), {}, 1)
 
 
-def test_behaviour_cloning_takes_no_environment_step(tmp_path: Path) -> None:
+def test_behaviour_cloning_takes_no_environment_step(tmp_path):
     given = {**REACH, "demonstrations": {"file": str(lerobot(tmp_path)), "updates": 200}}
     cloned = ["training.steps=0", "agent.imitation=1", "agent.cloning=true"]
     outcome = Experiment(spec_from_dict(given, cloned)).run(tmp_path / "runs")

@@ -1,7 +1,6 @@
 """Parts of somebody in tasks: an expert picks an L from an STL, on three arms."""
 
 from itertools import product
-from pathlib import Path
 
 import pytest
 from support.part_tasks import PickPart, with_part
@@ -9,7 +8,7 @@ from support.prisms import L, prism
 from support.rig import ENGINES, ROBOTS, expert_episode
 
 
-def test_an_expert_picks_an_l_with_every_arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_expert_picks_an_l_with_every_arm(tmp_path, monkeypatch):
     pytest.importorskip("coacd")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     part = prism(tmp_path / "l.stl", L, 20.0)
