@@ -247,7 +247,7 @@ def test_arguments_that_cannot_be_meant_are_refused(runs, tmp_path):
 
 def test_diff_shows_what_two_runs_were_made_from(runs):
     one = add_run(runs, 0)
-    other = add_run(runs, 1, spec=SPEC | {"agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
+    other = add_run(runs, 1, spec=SPEC | {"seeds": [1], "agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
     assert rows("diff", one, other, "--runs", runs) == [
         {"part": "run", "key": "seed", "a": 0, "b": 1, "missing": None},
         {"part": "spec", "key": "agent.learning_rate", "a": 1e-3, "b": 1e-4, "missing": None},

@@ -96,13 +96,6 @@ def test_steps_far_from_every_test_of_a_run_are_refused():
         compare([contender("a", FIVE), contender("b", [[0, 60]])], "any", at=3000)
 
 
-def test_improvement_counts_pairs_and_halves_ties():
-    first, second = compare([contender("a", [[50], [60]]), contender("b", [[60], [70]])], "any").scores
-    assert first.improvement is None
-    assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
-    assert second.improvement.kind == "none"  # two seeds
-
-
 def test_success_at_the_end_is_what_counts():
     comparison = compare([contender("a", [[100], [80]]), contender("b", [[100], [90]])])
     assert comparison.metric == "end"
@@ -148,7 +141,8 @@ def test_returns_are_compared_seed_by_seed_without_thresholds_and_densities():
     assert (first.returns.value, first.returns.low, first.returns.high) == (-145.0, -150.0, -140.0)
     assert first.iqm.value == -145.0
     assert first.end.value == 0.275
-    assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4
+    assert (first.improvement, second.improvement.kind) == (None, "none")  # two seeds
+    assert second.improvement.value == (1 + 0.5 + 1 + 1) / 4, "ties count half"
     assert (first.reaching, first.density, first.over_steps) == ((), None, None)
 
 

@@ -67,17 +67,6 @@ def found(one: Side, other: Side) -> list[tuple[object, ...]]:
     ]
 
 
-def test_runs_are_compared_by_seed_settings_versions_and_code():
-    one = side(spec={"seeds": [1], "steps": 1}, versions={"torch": "1"})
-    other = side(spec={"seeds": [2], "steps": 2}, versions={"torch": "2"}, seed=4, commit="def")
-    assert found(one, other) == [
-        ("run", "seed", 0, 4),
-        ("spec", "steps", 1, 2),
-        ("version", "torch", "1", "2"),
-        ("code", "commit", "abc", "def"),
-    ]
-
-
 def test_changed_files_are_compared_one_by_one():
     assert found(side(patch=PATCH + MORE), side(patch=MORE)) == [("code", "x.py", "changed: +2 -1", MISSING)]
     assert found(side(patch=PATCH), side(patch=PATCH.replace("newer", "other"))) == [
