@@ -54,6 +54,7 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
     [
         (["sweep.space.agent.learning_rate={float: [0, 1]}"], 2, ["agent.learning_rate", "greater than 0"]),
         (["sweep.objective=measures.foo"], 2, ["'measures.foo'", "sweep.objective"]),
+        (["sweep.space={}", "sweep.space.agent.learning_rate=null"], 2, ["sweep.space"]),
         (["sweep=null"], 2, ["no sweep"]),
         (["--time-limit", "soon"], 2, ["not a duration"]),
         (["--time-limit", "99999999999d"], 2, ["more than ten years"]),
