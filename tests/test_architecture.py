@@ -12,17 +12,17 @@ LAYERS = runpy.run_path(str(ROOT / "docs" / "_scripts" / "layers.py"))
 MOST_ENTRIES = 30
 
 
-def test_the_table_of_layers_is_the_generated_one() -> None:
+def test_the_table_of_layers_is_the_generated_one():
     assert LAYERS["replaced"](PAGE) == PAGE, "run: python docs/_scripts/layers.py"
 
 
-def test_every_package_says_in_one_line_what_it_is() -> None:
+def test_every_package_says_in_one_line_what_it_is():
     rows = LAYERS["table"]().splitlines()[2:]
     assert len(rows) > 20
     assert not [row for row in rows if not re.fullmatch(r"\| `[^`]+` \| \S.*\. \|", row)]
 
 
-def test_the_top_of_the_package_stays_small() -> None:
+def test_the_top_of_the_package_stays_small():
     entries = [
         path.name for path in (ROOT / "karolos").iterdir() if path.suffix == ".py" or (path / "__init__.py").exists()
     ]
@@ -37,7 +37,7 @@ def ways() -> dict[str, list[tuple[str, str]]]:
     return found
 
 
-def test_the_described_ways_are_short_and_every_stop_exists() -> None:
+def test_the_described_ways_are_short_and_every_stop_exists():
     headings = "one transition", "one SAC update", "one test result", "a spec's line to its object", "one job on Ray"
     assert set(ways()) == {f"The way of {heading}" for heading in headings}
     for heading, stops in ways().items():
@@ -46,7 +46,7 @@ def test_the_described_ways_are_short_and_every_stop_exists() -> None:
             assert name in _definitions(ROOT / file), f"{heading}: {file} has no {name}"
 
 
-def test_the_way_of_a_specs_line_takes_five_files_and_never_returns_to_one() -> None:
+def test_the_way_of_a_specs_line_takes_five_files_and_never_returns_to_one():
     files = [file for file, _ in groupby(file for file, _ in ways()["The way of a spec's line to its object"])]
     assert len(files) == len(set(files)) == 5
 
@@ -62,12 +62,12 @@ def _definitions(path: Path) -> set[str]:
     return names
 
 
-def test_every_file_that_the_page_names_exists() -> None:
+def test_every_file_that_the_page_names_exists():
     for name in re.findall(r"`((?:karolos|cli|docs|specs|tests|examples)/[\w./-]*\w)/?`", PAGE):
         assert (ROOT / name).exists(), name
 
 
-def test_a_class_name_stands_for_one_thing() -> None:
+def test_a_class_name_stands_for_one_thing():
     places: dict[str, list[str]] = {}
     for path in (*(ROOT / "karolos").rglob("*.py"), *(ROOT / "cli").rglob("*.py")):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

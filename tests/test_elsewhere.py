@@ -63,7 +63,7 @@ def faults_of_call(call: ast.Call) -> Iterator[str]:
         yield f"{call.lineno}: {text} sends Ctrl-C on Windows"
 
 
-def test_only_one_module_uses_what_another_system_lacks() -> None:
+def test_only_one_module_uses_what_another_system_lacks():
     found = {str(path.relative_to(ROOT)): list(faults(path.read_text("utf-8"))) for path in OWN}
     assert {name: problems for name, problems in found.items() if problems and name != "karolos/system.py"} == {}
 
@@ -72,7 +72,7 @@ def test_only_one_module_uses_what_another_system_lacks() -> None:
     "line",
     ["import fcntl", "import os; os.kill(pid, 0)", "import os; os.getuid()", "subprocess.run(command, text=True)"],
 )
-def test_a_fault_is_found(line: str) -> None:
+def test_a_fault_is_found(line):
     assert list(faults(line))
 
 
@@ -114,9 +114,7 @@ def there(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.mark.xdist_group(__name__)
 @pytest.mark.parametrize(("as_system", "seeds"), [("windows", (0, 1)), ("macos", (0,))])
-def test_runs_are_made_stopped_resumed_and_compared(
-    as_system: str, seeds: tuple[int, ...], there: Path, tmp_path: Path
-) -> None:
+def test_runs_are_made_stopped_resumed_and_compared(as_system, seeds, there, tmp_path):
     """Two processes of runs with a worker each; the training episodes are those of Linux.
 
     On macOS processes of runs are started as on Linux: one run in the command's process shows the rest.

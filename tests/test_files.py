@@ -20,14 +20,14 @@ def full_disk(*_: object) -> None:
     raise FULL
 
 
-def test_whole_file_is_replaced_and_nothing_else_is_left(tmp_path: Path) -> None:
+def test_whole_file_is_replaced_and_nothing_else_is_left(tmp_path):
     write_whole(tmp_path / "state.json", "old")
     write_whole(tmp_path / "state.json", "new")
     assert (tmp_path / "state.json").read_text() == "new"
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
 
 
-def test_full_disk_keeps_the_old_file_and_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_keeps_the_old_file_and_says_so(tmp_path, monkeypatch):
     write_whole(tmp_path / "state.json", "old")
     monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(MachineError, match=r"state\.json: the disk is full; free some space"):
@@ -36,7 +36,7 @@ def test_full_disk_keeps_the_old_file_and_says_so(tmp_path: Path, monkeypatch: p
     assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
 
 
-def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_full_disk_leaves_no_part_of_a_line(tmp_path, monkeypatch):
     path = tmp_path / "tests.jsonl"
     append_lines(path, [{"steps": 1}])
     write = os.write
@@ -55,7 +55,7 @@ def test_full_disk_leaves_no_part_of_a_line(tmp_path: Path, monkeypatch: pytest.
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
-def test_system_that_reports_a_full_disk_is_understood(tmp_path: Path) -> None:
+def test_system_that_reports_a_full_disk_is_understood(tmp_path):
     (tmp_path / "events.jsonl").symlink_to("/dev/full")
     with pytest.raises(MachineError, match=r"events\.jsonl: the disk is full"):
         append_lines(tmp_path / "events.jsonl", [{"event": "started"}])
@@ -70,7 +70,7 @@ def test_system_that_reports_a_full_disk_is_understood(tmp_path: Path) -> None:
         (OSError(errno.EIO, "Input/output error"), r"cannot be written \(Input/output error\)"),
     ],
 )
-def test_refusals_of_the_system_say_what_to_do(error: OSError, text: str) -> None:
+def test_refusals_of_the_system_say_what_to_do(error, text):
     with pytest.raises(MachineError, match=text), writing(Path("runs")):
         raise error
 
@@ -83,7 +83,7 @@ rows = st.lists(
 
 
 @given(rows, st.data())
-def test_torn_file_gives_the_whole_lines_and_takes_new_ones(rows: list[dict[str, object]], data: st.DataObject) -> None:
+def test_torn_file_gives_the_whole_lines_and_takes_new_ones(rows, data):
     import tempfile
 
     with tempfile.TemporaryDirectory() as folder:
@@ -99,7 +99,7 @@ def test_torn_file_gives_the_whole_lines_and_takes_new_ones(rows: list[dict[str,
         assert read_lines(path) == ((*rows[:whole], {"new": 1}), ())
 
 
-def test_line_that_is_no_object_is_named_and_the_rest_is_read(tmp_path: Path) -> None:
+def test_line_that_is_no_object_is_named_and_the_rest_is_read(tmp_path):
     path = tmp_path / "lines.jsonl"
     path.write_bytes(b'{"a":1}\n\xff\xfe\n[1]\n{"a":2}\n{"a"')
     found = read_lines(path)
@@ -108,22 +108,22 @@ def test_line_that_is_no_object_is_named_and_the_rest_is_read(tmp_path: Path) ->
     assert "torn" in found.problems[-1]
 
 
-def test_missing_file_has_no_lines(tmp_path: Path) -> None:
+def test_missing_file_has_no_lines(tmp_path):
     assert read_lines(tmp_path / "none") == ((), ())
 
 
-def test_numbers_that_json_lacks_are_refused(tmp_path: Path) -> None:
+def test_numbers_that_json_lacks_are_refused(tmp_path):
     with pytest.raises(ValueError, match="not JSON compliant"):
         append_lines(tmp_path / "lines.jsonl", [{"loss": float("nan")}])
 
 
 @pytest.mark.parametrize("name", ["..", "../x", ".", "", "/etc/passwd", "a/../../x"])
-def test_path_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
+def test_path_that_leads_out_is_refused(tmp_path, name):
     with pytest.raises(UsageError, match="leads outside of"):
         below(tmp_path, name)
 
 
-def test_link_that_leads_out_is_refused(tmp_path: Path) -> None:
+def test_link_that_leads_out_is_refused(tmp_path):
     (tmp_path / "root").mkdir()
     (tmp_path / "root" / "link").symlink_to(tmp_path)
     with pytest.raises(UsageError, match="leads outside of"):
@@ -131,7 +131,7 @@ def test_link_that_leads_out_is_refused(tmp_path: Path) -> None:
     assert below(tmp_path / "root", "plain") == tmp_path / "root" / "plain"
 
 
-def test_lock_excludes_others_until_released(tmp_path: Path) -> None:
+def test_lock_excludes_others_until_released(tmp_path):
     ours, theirs = FileLock(tmp_path / "lock"), FileLock(tmp_path / "lock")
     assert not ours.is_locked()
     assert ours.acquire()
@@ -145,7 +145,7 @@ def test_lock_excludes_others_until_released(tmp_path: Path) -> None:
     theirs.release()
 
 
-def test_lock_dies_with_its_process(tmp_path: Path) -> None:
+def test_lock_dies_with_its_process(tmp_path):
     script = (
         "import sys, pathlib; from karolos.files import FileLock\n"
         "lock = FileLock(pathlib.Path(sys.argv[1])); assert lock.acquire(); print('held', flush=True); sys.stdin.read()"
@@ -159,12 +159,12 @@ def test_lock_dies_with_its_process(tmp_path: Path) -> None:
     assert not FileLock(tmp_path / "lock").is_locked()
 
 
-def test_looking_at_a_lock_leaves_no_trace(tmp_path: Path) -> None:
+def test_looking_at_a_lock_leaves_no_trace(tmp_path):
     assert not FileLock(tmp_path / "lock").is_locked()
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_network_share_is_told_from_a_disk_by_the_innermost_mount(tmp_path: Path) -> None:
+def test_a_network_share_is_told_from_a_disk_by_the_innermost_mount(tmp_path):
     mounts = tmp_path / "mounts"
     mounts.write_text(f"disk / ext4 rw 0 0\nserver:/home {tmp_path} nfs4 rw 0 0\ndisk {tmp_path}/local ext4 rw 0 0\n")
     assert _share_in(tmp_path / "runs", mounts) == "nfs4"

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 
 from support.run_samples import add_run
 
@@ -52,14 +51,14 @@ def process(code: str, *words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
 
 
-def test_commands_import_only_what_they_need(tmp_path: Path) -> None:
+def test_commands_import_only_what_they_need(tmp_path):
     add_run(tmp_path, 0)
     ended = process(CALL.format(commands=COMMANDS), str(tmp_path))
     told = [line for line in ended.stderr.splitlines() if line.startswith("imported:")]
     assert told == [f"imported: {words}" for words, _ in COMMANDS]
 
 
-def test_a_module_imports_only_what_it_needs() -> None:
+def test_a_module_imports_only_what_it_needs():
     lines = ["import sys"]
     for code, heavy in MODULES:
         lines += [code, f"print([name for name in {heavy.split()} if name in sys.modules])"]

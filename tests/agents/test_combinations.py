@@ -65,7 +65,7 @@ def named(combination: tuple[str, dict[str, Any]]) -> str:
 
 
 @pytest.mark.parametrize("combination", list(combinations()), ids=named)
-def test_it_learns(combination: tuple[str, dict[str, Any]]) -> None:
+def test_it_learns(combination):
     before, after = learned(spec_of(*combination))
     assert before < 0.5
     assert after > 0.9
@@ -92,13 +92,13 @@ def learned(spec: Spec) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(("hindsight", "n_step"), [(True, 1), (True, 2), (False, 1)])
-def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hindsight: bool, n_step: int) -> None:
+def test_bits_that_chance_hardly_flips_right_are_learned_with_hindsight_only(hindsight, n_step):
     buffer = {"name": "uniform", "n_step": n_step} | ({"hindsight": {}} if hindsight else {})
     spec = spec_of("dqn", buffer, {"name": "bit_flip", "bits": 8})
     _, after = learned(spec)
     assert after > 0.8 if hindsight else after < 0.2
 
 
-def test_every_agent_that_ships_is_there() -> None:
+def test_every_agent_that_ships_is_there():
     assert set(SHIPPED) <= set(names("agents"))
     assert len(list(combinations())) >= 2 * 4 + 3 * 2 + 1

@@ -1,7 +1,6 @@
 """Agents on a GPU: they run there, and learn what they learn on a CPU."""
 
 from dataclasses import replace
-from typing import Any
 
 import pytest
 import torch
@@ -17,7 +16,7 @@ from karolos.core.seeding import SeedTree
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
 @pytest.mark.parametrize(("kind", "options"), [(SAC, {}), (SAC, {"critic": {}}), (TD3, {}), (DDPG, {}), (DQN, {})])
-def test_an_agent_learns_on_a_gpu_what_it_learns_on_a_cpu(kind: Any, options: dict[str, Any]) -> None:
+def test_an_agent_learns_on_a_gpu_what_it_learns_on_a_cpu(kind, options):
     of = replace(signature(), action=Discrete(("left", "right", "wait"))) if kind is DQN else signature()
     settings = kind.Settings.model_validate({"hidden": (16, 16), "precision": "float32", "discount": 0.0, **options})
     values = []

@@ -19,7 +19,7 @@ def targets_of(agent: Any, inputs: TensorBatch) -> torch.Tensor:
     return targets
 
 
-def test_the_smaller_of_td3s_critics_counts() -> None:
+def test_the_smaller_of_td3s_critics_counts():
     made = make(TD3, target_noise=0.0)
     inputs = tensor_batch(batch(32, signature(), reward=0, discount=1), made.normaliser, made.device)
     action = torch.tanh(made.target_policy(inputs.next_input))
@@ -28,7 +28,7 @@ def test_the_smaller_of_td3s_critics_counts() -> None:
     torch.testing.assert_close(targets_of(made, inputs), both.amin(0).unsqueeze(1))
 
 
-def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None:
+def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not():
     for agent, draws in ((TD3, True), (DDPG, False)):
         made = make(agent)
         inputs = tensor_batch(batch(32, signature()), made.normaliser, made.device)
@@ -36,7 +36,7 @@ def test_td3_smooths_its_targets_over_actions_nearby_and_ddpg_does_not() -> None
 
 
 @pytest.mark.parametrize(("agent", "every"), [(DDPG, 1), (TD3, 2)])
-def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -> None:
+def test_policy_and_targets_move_when_it_is_their_turn(agent, every):
     made = make(agent)
     for update in range(1, 7):
         before = {name: getattr(made, name).vector.clone() for name in ("policy", "target", "target_policy")}
@@ -46,7 +46,7 @@ def test_policy_and_targets_move_when_it_is_their_turn(agent: Any, every: int) -
 
 
 @pytest.mark.parametrize("agent", AGENTS)
-def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(agent: Any) -> None:
+def test_exploration_is_noise_around_the_policy_and_a_share_of_uniform_actions(agent):
     made = make(agent, noise={"std": 0.05}, random_actions=0.25)
     data = batch(4000, signature())
     plain = made.act(data.observation, data.desired_goal, explore=False)

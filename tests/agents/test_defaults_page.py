@@ -31,7 +31,7 @@ PAGE = Path(__file__).parents[2] / "docs" / "defaults.md"
 ROWS = re.findall(r"^\| `(\w+)` \| `(\w+): ([^`]+)` \|", PAGE.read_text(), re.MULTILINE)
 
 
-def test_the_page_lists_what_surprises_most() -> None:
+def test_the_page_lists_what_surprises_most():
     listed = {(part, name) for part, name, _ in ROWS}
     assert listed >= {
         ("sac", "entropy_in_target"),
@@ -43,5 +43,5 @@ def test_the_page_lists_what_surprises_most() -> None:
 
 
 @pytest.mark.parametrize(("part", "name", "value"), ROWS)
-def test_a_default_on_the_page_is_that_of_the_code(part: str, name: str, value: str) -> None:
+def test_a_default_on_the_page_is_that_of_the_code(part, name, value):
     assert SETTINGS[part].model_fields[name].default == yaml.safe_load(value)

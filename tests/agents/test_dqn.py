@@ -33,7 +33,7 @@ def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) ->
 
 
 @pytest.mark.parametrize("double_q", [True, False])
-def test_target_is_what_the_target_network_says_of_the_action_that_the_online_network_prefers(double_q: bool) -> None:
+def test_target_is_what_the_target_network_says_of_the_action_that_the_online_network_prefers(double_q):
     agent = make(double_q=double_q, clip_targets=False)
     agent.target.vector.copy_(torch.randn(agent.target.vector.shape, generator=torch.Generator().manual_seed(3)))
     ended = (np.arange(64) % 3 == 0).astype(np.float32)
@@ -46,14 +46,14 @@ def test_target_is_what_the_target_network_says_of_the_action_that_the_online_ne
     assert (online.argmax(1) != theirs.argmax(1)).any()
 
 
-def test_values_of_an_episode_that_ends_at_once_are_possible_too() -> None:
+def test_values_of_an_episode_that_ends_at_once_are_possible_too():
     agent = make(replace(discrete(), reward_range=(1.0, 2.0)), discount=0.9)
     for reward, terminated, expected in ((1, 1, 1), (-5, 1, 1), (100, 0, 20)):
         inputs = tensor_batch(some(8, reward=reward, terminated=terminated), agent.normaliser, agent.device)
         np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-6)
 
 
-def test_long_gradients_are_cut_to_the_length_that_is_set() -> None:
+def test_long_gradients_are_cut_to_the_length_that_is_set():
     lengths, told = [], []
     for longest in (None, 0.5):
         agent = make(gradient_norm=longest, loss="squared")
@@ -65,7 +65,7 @@ def test_long_gradients_are_cut_to_the_length_that_is_set() -> None:
 
 
 @pytest.mark.parametrize(("interval", "tau"), [(1, 0.1), (3, 1.0)])
-def test_the_target_moves_when_it_is_its_turn_and_as_far_as_tau_says(interval: int, tau: float) -> None:
+def test_the_target_moves_when_it_is_its_turn_and_as_far_as_tau_says(interval, tau):
     agent = make(target_interval=interval, tau=tau)
     for update in range(1, 7):
         before = agent.target.vector.clone()
@@ -74,7 +74,7 @@ def test_the_target_moves_when_it_is_its_turn_and_as_far_as_tau_says(interval: i
         torch.testing.assert_close(agent.target.vector, expected)
 
 
-def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays() -> None:
+def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays():
     agent = make(epsilon_start=0.9, epsilon_end=0.1, epsilon_steps=100)
     data = some(10)
     found = [agent.epsilon]
@@ -87,7 +87,7 @@ def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays() -
     assert agent.learn(data)["epsilon"].item() == pytest.approx(0.1)
 
 
-def test_each_environment_explores_with_probability_epsilon_and_tests_do_not() -> None:
+def test_each_environment_explores_with_probability_epsilon_and_tests_do_not():
     agent = make(epsilon_start=0.4, epsilon_end=0.4)
     data = some(4000)
     best = agent.act(data.observation, data.desired_goal, explore=False)
@@ -99,11 +99,11 @@ def test_each_environment_explores_with_probability_epsilon_and_tests_do_not() -
     np.testing.assert_array_equal(greedy.act(data.observation, data.desired_goal, explore=True), best)
 
 
-def test_continuous_actions_are_refused_with_the_setting_that_helps() -> None:
+def test_continuous_actions_are_refused_with_the_setting_that_helps():
     with pytest.raises(UsageError, match=r"2 continuous numbers.*environment\.actions=discrete"):
         make(signature())
 
 
-def test_an_epsilon_that_rises_is_refused() -> None:
+def test_an_epsilon_that_rises_is_refused():
     with pytest.raises(ValidationError, match=r"epsilon_end 0\.5 is above epsilon_start 0\.1"):
         DQN.Settings(epsilon_start=0.1, epsilon_end=0.5)

@@ -26,6 +26,7 @@ OPTIONS: list[dict[str, Any]] = [
     {"layer_norm": True},
     {"action_penalty": 20.0},
     {"imitation": 2.0},
+    {"imitation": 2.0, "cloning": True},
     {"imitation": 2.0, "action_penalty": 20.0, "layer_norm": True},
 ]
 NOT_OBSERVED = 1001
@@ -52,17 +53,17 @@ def critics_gradient(critic: MLP, inputs: TensorBatch, targets: Tensor) -> Tenso
     return torch.autograd.grad(error, parameters)[0]
 
 
-def shown(action: Tensor, better: Tensor, inputs: TensorBatch) -> Tensor:
-    """Mean squared distance to the demonstrated actions that the critics prefer."""
+def shown(action: Tensor, better: Tensor, inputs: TensorBatch, *, cloning: bool) -> Tensor:
+    """Mean squared distance to the demonstrated actions that the critics prefer, or to all."""
     assert inputs.demonstrated is not None
     assert 0 < (inputs.demonstrated * better).sum() < inputs.demonstrated.sum()
     distance = (action - inputs.action).square().sum(1)
-    return (inputs.demonstrated * better * distance).sum() / inputs.demonstrated.sum()
+    return (inputs.demonstrated * (better | cloning) * distance).sum() / inputs.demonstrated.sum()
 
 
 @pytest.mark.parametrize("critic_only", [0, 4])
 @pytest.mark.parametrize("options", [*OPTIONS, {"critic": {}}, {"critic": {"quantiles": 5}, "imitation": 2.0}])
-def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_only: int) -> None:
+def test_sacs_gradients_are_those_of_its_losses(options, critic_only):
     settings = SAC.Settings.model_validate({**STILL, "temperature": 0.3, **options})
     agent = SAC(settings, signature(critic_only=critic_only), SeedTree(0))
     before = agent.generator.get_state()
@@ -82,10 +83,11 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_
     action = torch.tanh(unbounded)
     log_probability = (gaussian.log_prob(unbounded) - torch.log(1 - action.square())).sum(1)
     loss = (inputs.weight * (0.3 * log_probability - policys(value(agent.critic, inputs, action)))).sum()
+    loss = loss * (not settings.cloning)  # the critics' values are ignored
     loss = loss + settings.action_penalty * action.square().mean()
     middle = torch.tanh(mean)
     better = policys(value(agent.critic, inputs, inputs.action)) > policys(value(agent.critic, inputs, middle))
-    loss = loss + settings.imitation * shown(middle, better, inputs)
+    loss = loss + settings.imitation * shown(middle, better, inputs, cloning=settings.cloning)
     expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     if settings.critic is None:
@@ -97,7 +99,7 @@ def test_sacs_gradients_are_those_of_its_losses(options: dict[str, Any], critic_
 
 @pytest.mark.parametrize("agent", [DDPG, TD3])
 @pytest.mark.parametrize("options", OPTIONS)
-def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, options: dict[str, Any]) -> None:
+def test_deterministic_agents_gradients_are_those_of_their_losses(agent, options):
     more = {"policy_delay": 1, "target_noise": 0.0} if agent is TD3 else {}
     settings = agent.Settings.model_validate({**STILL, **more, **options})
     made = agent(settings, signature(), SeedTree(0))
@@ -108,15 +110,15 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent: Any, op
     policy = leaf(made.policy)
     action = torch.tanh(plain(made.policy, inputs.input, policy))
     own, demonstrated = (value(made.critic, inputs, a)[0, :, 0] for a in (action, inputs.action))
-    loss = (-inputs.weight * own).sum() + settings.action_penalty * action.square().mean()
-    loss = loss + settings.imitation * shown(action, demonstrated > own, inputs)
+    loss = (-inputs.weight * own).sum() * (not settings.cloning) + settings.action_penalty * action.square().mean()
+    loss = loss + settings.imitation * shown(action, demonstrated > own, inputs, cloning=settings.cloning)
     expected = torch.autograd.grad(loss, policy)[0]
     torch.testing.assert_close(found["policy"], expected, rtol=1e-3, atol=1e-6)
     expected = critics_gradient(made.critic, inputs, made.targets(inputs, made.next_action(inputs.next_input)))
     torch.testing.assert_close(found["critic"], expected, rtol=1e-3, atol=1e-6)
 
 
-def test_without_demonstrations_nothing_is_imitated() -> None:
+def test_without_demonstrations_nothing_is_imitated():
     for agent in (SAC, DDPG, TD3):
         made = agent(agent.Settings.model_validate({**STILL, "imitation": 1.0}), signature(), SeedTree(0))
         assert "imitation_loss" not in made.learn(batch(64, signature()))
@@ -126,7 +128,7 @@ def test_without_demonstrations_nothing_is_imitated() -> None:
 
 @pytest.mark.parametrize("dueling", [False, True])
 @pytest.mark.parametrize("options", [{}, {"loss": "squared"}, {"layer_norm": True}, {"double_q": False}])
-def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: bool) -> None:
+def test_dqns_gradient_is_that_of_its_loss(options, dueling):
     actions = 4
     of = replace(signature(), action=Discrete(tuple(map(str, range(actions)))))
     taken = np.random.default_rng(1).integers(actions, size=(64, 1))
@@ -153,7 +155,7 @@ def test_dqns_gradient_is_that_of_its_loss(options: dict[str, Any], dueling: boo
 
 @pytest.mark.parametrize("options", [{}, {"entropy": 0.3}, {"value_clip": 0.1, "clip": 0.05}])
 @pytest.mark.parametrize("discrete", [False, True])
-def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[str, Any]) -> None:
+def test_ppos_gradients_are_those_of_its_losses(discrete, options):
     settings = PPO.Settings.model_validate(
         {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
     )
@@ -165,6 +167,9 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
 
     inputs = noise(64, 5)
     agent.policy.vector.add_(noise(len(agent.policy.vector)), alpha=0.1)  # away from even odds and zero means
+    log_std = torch.tensor([-0.5, 0.3])
+    if isinstance(agent.distribution, Gaussian):
+        agent.distribution.log_std.copy_(log_std)
     action = torch.randint(3, (64, 1), generator=generator).float() if discrete else noise(64, 2)
     taken = RolloutBatch(
         inputs=inputs,
@@ -175,7 +180,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
         target=noise(64),
     )
     policy, value = leaf(agent.policy), leaf(agent.value.network)
-    log_std = torch.zeros(2, requires_grad=True)
+    log_std.requires_grad_()
     told = agent.update(taken)
     assert told is not None
 
@@ -191,6 +196,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete: bool, options: dict[st
     gain = torch.minimum(ratio * better, ratio.clamp(1 - settings.clip, 1 + settings.clip) * better).mean()
     loss = -gain - settings.entropy * entropy.mean()
     torch.testing.assert_close(told["policy_loss"], -gain.detach())
+    torch.testing.assert_close(told["entropy"], entropy.mean().detach())
     assert (told["clip_fraction"] > 0.05).item(), "some rows are clipped"
     expected = torch.autograd.grad(loss, [policy] if discrete else [policy, log_std])
     torch.testing.assert_close(agent.policy.gradient, expected[0], rtol=1e-3, atol=1e-6)

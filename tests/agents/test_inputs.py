@@ -18,7 +18,7 @@ NUMBERS = st.floats(-1000, 1000, width=32)
     batches=st.lists(hnp.arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=NUMBERS), min_size=1)
 )
 @settings(max_examples=50)
-def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndarray]) -> None:
+def test_statistics_over_batches_equal_those_over_all_rows(batches):
     normaliser = Normaliser(3, "cpu")
     for rows in batches:
         normaliser.update(torch.from_numpy(rows))
@@ -28,7 +28,7 @@ def test_statistics_over_batches_equal_those_over_all_rows(batches: list[np.ndar
     np.testing.assert_allclose(normaliser.spread.numpy(), expected, rtol=1e-4, atol=1e-4)
 
 
-def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed() -> None:
+def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed():
     achieved, seen = Layout((Field("place", 2), Field("held", 1))), Layout((Field("speed", 1), Field("place", 2)))
     signature = Signature(seen, Layout((Field("move", 1),)), 5, achieved_goal=achieved, desired_goal=achieved)
     agent = SAC(SAC.Settings(fine_goal=5), signature, SeedTree(0))
@@ -42,7 +42,7 @@ def test_goals_enter_as_what_is_missing_where_what_is_achieved_is_observed() -> 
     torch.testing.assert_close(inputs.input[:, -2:], fine)
 
 
-def test_inputs_pass_unchanged_before_the_first_update() -> None:
+def test_inputs_pass_unchanged_before_the_first_update():
     rows = torch.tensor([[0.5, -2.0, 4.0]])
     assert torch.equal(Normaliser(3, "cpu")(rows), rows)
     fresh = Normaliser(3, "cpu", missing=slice(2, 3), fine=5.0)
@@ -51,7 +51,7 @@ def test_inputs_pass_unchanged_before_the_first_update() -> None:
     assert torch.equal(loaded(rows), fresh(rows)), "also in an agent that resumes before it"
 
 
-def test_outliers_are_clipped_and_columns_that_stand_still_not_blown_up() -> None:
+def test_outliers_are_clipped_and_columns_that_stand_still_not_blown_up():
     normaliser = Normaliser(2, "cpu")
     normaliser.update(torch.tensor([[0.0, 3.0], [1.0, 3.0]]))
     normal = normaliser(torch.tensor([[1e6, 3.001], [-1e6, 3.0]]))

@@ -1,7 +1,6 @@
 """The network that treats joints alike, against its formula under autograd."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -50,7 +49,7 @@ def formula(shape: JointShape, p: dict[str, Tensor], x: Tensor) -> Tensor:
 
 
 @pytest.mark.parametrize("shape", [POLICY, CRITICS])
-def test_outputs_and_gradients_are_those_of_the_formula(shape: JointShape) -> None:
+def test_outputs_and_gradients_are_those_of_the_formula(shape):
     network = JointNetwork(shape, torch.Generator().manual_seed(0), "cpu")
     x = torch.randn((20, 13), generator=torch.Generator().manual_seed(1))
     outputs, tapes = network.forward(x)
@@ -67,7 +66,7 @@ def test_outputs_and_gradients_are_those_of_the_formula(shape: JointShape) -> No
     torch.testing.assert_close(by_input, by_leaf[:, 2:12], rtol=1e-4, atol=1e-5)
 
 
-def test_a_tape_of_some_rows_gives_their_gradient() -> None:
+def test_a_tape_of_some_rows_gives_their_gradient():
     network = JointNetwork(POLICY, torch.Generator().manual_seed(0), "cpu")
     x = torch.randn((20, 13), generator=torch.Generator().manual_seed(1))
     outputs, [tape] = network.forward(x)
@@ -78,7 +77,7 @@ def test_a_tape_of_some_rows_gives_their_gradient() -> None:
     torch.testing.assert_close(found, network.gradient)
 
 
-def test_joints_that_change_places_change_their_outputs_and_no_value() -> None:
+def test_joints_that_change_places_change_their_outputs_and_no_value():
     x = torch.randn((5, 13), generator=torch.Generator().manual_seed(1))
     swapped = x.clone()
     swapped[:, [*JOINTS[0], *JOINTS[2]]] = x[:, [*JOINTS[2], *JOINTS[0]]]
@@ -87,7 +86,7 @@ def test_joints_that_change_places_change_their_outputs_and_no_value() -> None:
     torch.testing.assert_close(critics(swapped), critics(x))
 
 
-def test_joints_that_nobody_describes_are_refused() -> None:
+def test_joints_that_nobody_describes_are_refused():
     with pytest.raises(UsageError, match="do not describe joints"):
         make(SAC, signature(), per_joint=True)
     with pytest.raises(ValueError, match="two numbers in hidden"):
@@ -95,7 +94,7 @@ def test_joints_that_nobody_describes_are_refused() -> None:
 
 
 @pytest.mark.parametrize("kind", [SAC, TD3])
-def test_an_agent_acts_alike_if_joints_change_places_and_its_state_is_its_own(kind: Any) -> None:
+def test_an_agent_acts_alike_if_joints_change_places_and_its_state_is_its_own(kind):
     seen = Layout((Field("place", 4), Field("effects", 6, joints=3), Field("speeds", 3, joints=3)))
     of = replace(signature(), observation=seen, action=Layout((Field("changes", 3, joints=3), Field("grip", 1))))
     agent = make(kind, of, per_joint=True, hidden=(16, 24, 24))

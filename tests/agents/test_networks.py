@@ -40,9 +40,7 @@ def flat_gradient(layers: nn.Sequential) -> Tensor:
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("sizes", [SIZES, (7, 32, 32, 32, 1), (5, 17, 2), (70, 66, 72, 1)])
-def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
-    sizes: tuple[int, ...], layer_norm: bool
-) -> None:
+def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(sizes, layer_norm):
     network = MLP(NetworkShape(sizes, members=2, layer_norm=layer_norm), generator(), "cpu")
     x = torch.randn((65, sizes[0]), generator=generator(1))
     pull = torch.randn((2, 65, sizes[-1]), generator=generator(2))
@@ -68,7 +66,7 @@ def test_stacked_members_equal_separate_networks_in_outputs_and_gradients(
 
 @pytest.mark.parametrize("layer_norm", [False, True])
 @pytest.mark.parametrize("low", [False, True])
-def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool, layer_norm: bool) -> None:
+def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low, layer_norm):
     network = MLP(NetworkShape(SIZES, bfloat16=low, layer_norm=layer_norm), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.randn((16, 3), generator=generator(2))
     outputs, tapes = network.forward(x)
@@ -81,7 +79,7 @@ def test_some_rows_of_a_pass_have_the_gradient_of_a_pass_of_their_own(low: bool,
 
 
 @pytest.mark.parametrize("low", [False, True])
-def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> None:
+def test_the_first_member_is_computed_alone_as_among_the_others(low):
     network = MLP(NetworkShape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu")
     x, pull = torch.randn((32, 20), generator=generator(1)), torch.zeros((2, 32, 1))
     pull[0] = torch.randn((32, 1), generator=generator(2))
@@ -92,40 +90,29 @@ def test_the_first_member_is_computed_alone_as_among_the_others(low: bool) -> No
     assert torch.equal(network.backward(pull[:1], tapes, parameters=False, columns=slice(16, None)), expected)
 
 
-def test_one_outputs_gradient_by_the_inputs_is_the_same_in_bfloat16() -> None:
-    low, exact = (
-        MLP(NetworkShape((20, 64, 48, 1), members=2, bfloat16=low), generator(), "cpu") for low in (True, False)
-    )
-    x, pull = torch.randn((64, 20), generator=generator(1)), torch.randn((2, 64, 1), generator=generator(2))
-    found = []
-    for network in (low, exact):
-        _, tapes = network.forward(x)
-        found.append(network.backward(pull, tapes, parameters=False, columns=slice(None)))
-    assert torch.cosine_similarity(*[each.flatten() for each in found], dim=0) > 0.99
-
-
 @pytest.mark.parametrize("layer_norm", [False, True])
-def test_bfloat16_stays_near_float32(layer_norm: bool) -> None:
+def test_bfloat16_stays_near_float32(layer_norm):
     low = MLP(NetworkShape(SIZES, members=2, bfloat16=True, layer_norm=layer_norm), generator(), "cpu")
     exact = MLP(NetworkShape(SIZES, members=2, layer_norm=layer_norm), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
-    outputs = []
+    outputs, by_inputs = [], []
     for network in (low, exact):
         y, tapes = network.forward(x)
-        network.backward(torch.ones_like(y), tapes)
+        by_inputs.append(network.backward(torch.ones_like(y), tapes, columns=slice(None)).flatten())
         outputs.append(y)
     assert outputs[0].dtype == torch.float32
     torch.testing.assert_close(*outputs, rtol=0.05, atol=0.02)
     assert torch.cosine_similarity(low.gradient, exact.gradient, dim=0) > 0.99
+    assert torch.cosine_similarity(*by_inputs, dim=0) > 0.99
 
 
-def test_exact_outputs_do_not_depend_on_precision() -> None:
+def test_exact_outputs_do_not_depend_on_precision():
     low, exact = (MLP(NetworkShape(SIZES, bfloat16=low), generator(), "cpu") for low in (True, False))
     x = torch.randn((8, 20), generator=generator(1))
     assert torch.equal(low(x, exact=True), exact(x))
 
 
-def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
+def test_an_optimiser_step_reaches_the_bfloat16_weights():
     network = MLP(NetworkShape(SIZES, bfloat16=True), generator(), "cpu")
     x = torch.randn((64, 20), generator=generator(1))
     optimiser = Adam(network.vector, 0.01)
@@ -138,21 +125,21 @@ def test_an_optimiser_step_reaches_the_bfloat16_weights() -> None:
     assert torch.equal(network(x), fresh(x))
 
 
-def test_following_moves_the_given_share() -> None:
+def test_following_moves_the_given_share():
     first, second = (MLP(NetworkShape(SIZES), generator(seed), "cpu") for seed in (0, 1))
     before = second.vector.clone()
     second.follow(first, 0.25)
     torch.testing.assert_close(second.vector, 0.75 * before + 0.25 * first.vector)
 
 
-def test_members_begin_different() -> None:
+def test_members_begin_different():
     network = MLP(NetworkShape(SIZES, members=2), generator(), "cpu")
     weight = network.named["layer0.weight"]
     assert not torch.equal(weight[0], weight[1])
     assert weight.abs().max() <= 20**-0.5
 
 
-def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
+def test_state_of_another_shape_is_refused_with_both_shapes():
     with pytest.raises(UsageError, match=r"layer0\.weight 17x5.*layer0\.weight 64x20"):
         MLP(NetworkShape(SIZES), generator(), "cpu").load_state(
             MLP(NetworkShape((5, 17, 2)), generator(), "cpu").state()
@@ -161,7 +148,7 @@ def test_state_of_another_shape_is_refused_with_both_shapes() -> None:
 
 @pytest.mark.parametrize("members", [0, 2])
 @pytest.mark.parametrize("layer_norm", [False, True])
-def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members: int, layer_norm: bool) -> None:
+def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members, layer_norm):
     network = MLP(NetworkShape(SIZES, members=members, layer_norm=layer_norm), generator(), "cpu")
     network.vector.requires_grad_()
     layers = [reference(network, member if members else None) for member in range(max(members, 1))]
@@ -177,7 +164,7 @@ def test_under_autograd_outputs_and_gradients_are_those_of_torch_nn(members: int
 
 
 @pytest.mark.parametrize("low", [False, True])
-def test_an_optimiser_of_torch_trains_a_network(low: bool) -> None:
+def test_an_optimiser_of_torch_trains_a_network(low):
     network = MLP(NetworkShape((3, 32, 1), bfloat16=low), generator(), "cpu")
     network.vector.requires_grad_()
     optimiser = torch.optim.Adam([network.vector], 1e-2)
@@ -196,7 +183,7 @@ def test_an_optimiser_of_torch_trains_a_network(low: bool) -> None:
     assert torch.equal(network(x), fresh(x))
 
 
-def test_parameters_that_change_before_the_backward_pass_are_an_error() -> None:
+def test_parameters_that_change_before_the_backward_pass_are_an_error():
     network = MLP(NetworkShape(SIZES), generator(), "cpu")
     network.vector.requires_grad_()
     loss = network(torch.ones(4, 20)).sum()

@@ -33,7 +33,7 @@ KINDS = [{"kind": "gaussian"}, {"kind": "ornstein_uhlenbeck"}, {"kind": "state_d
 
 
 @pytest.mark.parametrize("settings", KINDS)
-def test_noise_of_every_kind_is_standard_normal_at_every_step(settings: dict[str, Any]) -> None:
+def test_noise_of_every_kind_is_standard_normal_at_every_step(settings):
     found = drawn(make(**settings), 5)
     for step in found:
         assert step.mean().item() == pytest.approx(0, abs=0.06)
@@ -44,12 +44,12 @@ def test_noise_of_every_kind_is_standard_normal_at_every_step(settings: dict[str
     ("settings", "correlation"),
     [(KINDS[0], 0.0), ({"kind": "ornstein_uhlenbeck", "theta": 0.3}, 0.7), ({"kind": "state_dependent"}, 1.0)],
 )
-def test_successive_noise_is_as_akin_as_its_kind_says(settings: dict[str, Any], correlation: float) -> None:
+def test_successive_noise_is_as_akin_as_its_kind_says(settings, correlation):
     first, second = drawn(make(**settings), 2)
     assert np.corrcoef(first.ravel(), second.ravel())[0, 1] == pytest.approx(correlation, abs=0.05)
 
 
-def test_state_dependent_noise_is_a_function_of_the_state_for_its_interval() -> None:
+def test_state_dependent_noise_is_a_function_of_the_state_for_its_interval():
     noise = make(kind="state_dependent", interval=2)
     here, there = torch.randn(4, 3), torch.randn(4, 3)
     generator = torch.Generator().manual_seed(0)
@@ -62,7 +62,7 @@ def test_state_dependent_noise_is_a_function_of_the_state_for_its_interval() -> 
 
 
 @pytest.mark.parametrize("settings", KINDS[1:])
-def test_noise_begins_anew_with_an_episode_in_that_environment_alone(settings: dict[str, Any]) -> None:
+def test_noise_begins_anew_with_an_episode_in_that_environment_alone(settings):
     noise, rows = make(**{**settings, **({"interval": 50} if "interval" in settings else {})}), torch.ones(3, 3)
     generator = torch.Generator().manual_seed(0)
     noise.draw(rows, generator)
@@ -78,7 +78,7 @@ def test_noise_begins_anew_with_an_episode_in_that_environment_alone(settings: d
 
 
 @pytest.mark.parametrize("settings", KINDS[1:])
-def test_what_is_remembered_belongs_to_the_environments_named(settings: dict[str, Any]) -> None:
+def test_what_is_remembered_belongs_to_the_environments_named(settings):
     noise, generator = make(**settings), torch.Generator().manual_seed(0)
     noise.draw(torch.ones(4, 3), generator)
     before = noise.state()
@@ -90,7 +90,7 @@ def test_what_is_remembered_belongs_to_the_environments_named(settings: dict[str
 
 @pytest.mark.parametrize("agent", [SAC, DDPG, TD3])
 @pytest.mark.parametrize("settings", KINDS[1:])
-def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent: type[Agent], settings: dict[str, Any]) -> None:
+def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent, settings):
     def make_agent(seed: int) -> Agent:
         chosen = agent.Settings.model_validate({"hidden": (16,), "noise": settings})
         return agent(chosen, signature(), SeedTree(seed))
@@ -109,7 +109,7 @@ def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent: type[Agent], sett
         np.testing.assert_array_equal(act(first, step), act(second, step))
 
 
-def test_sac_explores_with_the_spread_that_its_policy_gives() -> None:
+def test_sac_explores_with_the_spread_that_its_policy_gives():
     chosen = SAC.Settings.model_validate({"hidden": (16,), "random_actions": 0, "noise": {"kind": "state_dependent"}})
     agent = SAC(chosen, signature(), SeedTree(0))
     agent.policy.named["layer1.weight"].zero_()
@@ -120,7 +120,7 @@ def test_sac_explores_with_the_spread_that_its_policy_gives() -> None:
     assert found.mean() == pytest.approx(0.1, abs=0.01)
 
 
-def test_settings_of_another_kind_are_refused() -> None:
+def test_settings_of_another_kind_are_refused():
     with pytest.raises(ValidationError, match="theta goes with kind: ornstein_uhlenbeck"):
         NoiseSettings(theta=0.1)
     with pytest.raises(ValidationError, match="interval goes with kind: state_dependent"):

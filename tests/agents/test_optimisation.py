@@ -1,7 +1,5 @@
 """Adam over vectors: schedules, cut gradients, and a state that goes on."""
 
-from typing import Any
-
 import pytest
 import torch
 from pydantic import ValidationError
@@ -15,18 +13,18 @@ from karolos.agents.torch_agent import OptimiserSettings
 from karolos.core.seeding import SeedTree
 
 
-def test_the_learning_rate_falls_with_the_steps_and_stays() -> None:
+def test_the_learning_rate_falls_with_the_steps_and_stays():
     settings = OptimiserSettings(learning_rate=1.0, learning_rate_end=0.5, learning_rate_updates=2)
     assert [settings.rate(update) for update in range(4)] == [1.0, 0.75, 0.5, 0.5]
 
 
-def test_the_first_step_has_the_length_of_the_learning_rate() -> None:
+def test_the_first_step_has_the_length_of_the_learning_rate():
     vector = torch.zeros(4)
     Adam(vector, 0.1).step(torch.full((4,), 3.0))
     torch.testing.assert_close(vector, torch.full((4,), -0.1))
 
 
-def test_longer_gradients_are_cut_and_shorter_ones_left() -> None:
+def test_longer_gradients_are_cut_and_shorter_ones_left():
     optimiser = Adam(torch.zeros(4), 0.1, norm=1.0)
     long, short = torch.full((4,), 3.0), torch.full((4,), 0.1)
     optimiser.step(long)
@@ -39,7 +37,7 @@ def test_longer_gradients_are_cut_and_shorter_ones_left() -> None:
 
 @pytest.mark.parametrize("kind", [SAC, TD3, DDPG])
 @pytest.mark.parametrize("delay", [1, 2, 3])
-def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind: Any, delay: int) -> None:
+def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind, delay):
     settings = {"learning_rate": 1e-2, "learning_rate_end": 1e-3, "learning_rate_updates": 12, "hidden": (8,)}
     if kind is not DDPG:
         settings["policy_delay"] = delay
@@ -61,6 +59,6 @@ def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind: Any, del
         assert found[-1] == 1e-3
 
 
-def test_half_a_schedule_is_refused() -> None:
+def test_half_a_schedule_is_refused():
     with pytest.raises(ValidationError, match="go together"):
         OptimiserSettings(learning_rate_end=1e-4)

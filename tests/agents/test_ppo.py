@@ -64,7 +64,7 @@ def written_out(rollout: Rollout, value: Any, next_value: Any, discount: float, 
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.7, 1.0])
-def test_advantages_are_those_of_the_sum_written_out(decay: float) -> None:
+def test_advantages_are_those_of_the_sum_written_out(decay):
     of, generator = signature(), np.random.default_rng(1)
     terminated, truncated = generator.random((8, 4)) < 0.2, generator.random((8, 4)) < 0.2
     stored = np.arange(8)[:, None] < [8, 5, 0, 8]
@@ -77,7 +77,7 @@ def test_advantages_are_those_of_the_sum_written_out(decay: float) -> None:
 
 
 @pytest.mark.parametrize("kind", ["truncated", "terminated"])
-def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one_before_a_terminated(kind: str) -> None:
+def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one_before_a_terminated(kind):
     of = signature(goal=0)
     agent = made(of, discount=0.5, learning_rate=1e-2, epochs=10, minibatches=2)
     over = np.ones((8, 4), np.bool_)
@@ -91,7 +91,7 @@ def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one
 
 
 @pytest.mark.parametrize("action", [0.0, 1.0, 1e3, -1e6])
-def test_log_probability_of_actions_far_outside_is_finite_and_so_is_its_gradient(action: float) -> None:
+def test_log_probability_of_actions_far_outside_is_finite_and_so_is_its_gradient(action):
     policy = Gaussian(2, 0.05, "cpu")
     head, taken = torch.zeros(3, 2), torch.full((3, 2), action)
     assert torch.isfinite(policy.log_probability(head, taken)).all()
@@ -99,7 +99,7 @@ def test_log_probability_of_actions_far_outside_is_finite_and_so_is_its_gradient
     assert torch.isfinite(policy.gradient).all()
 
 
-def test_learning_from_saturated_actions_stays_finite() -> None:
+def test_learning_from_saturated_actions_stays_finite():
     of = signature()
     agent = made(of, std=1.0)
     metrics = agent.learn(played(agent, of, action=50.0))
@@ -109,19 +109,7 @@ def test_learning_from_saturated_actions_stays_finite() -> None:
     ).all()
 
 
-def test_probabilities_are_those_of_torch() -> None:
-    head, action = torch.randn(5, 3), torch.randn(5, 3)
-    gaussian = Gaussian(3, 0.7, "cpu")
-    gaussian.log_std.copy_(torch.tensor([-1.0, 0.0, 0.5]))
-    normal = torch.distributions.Normal(head, gaussian.log_std.exp())
-    torch.testing.assert_close(gaussian.log_probability(head, action), normal.log_prob(action).sum(-1))
-    torch.testing.assert_close(gaussian.entropy(head), normal.entropy().sum(-1))
-    categorical, chosen = torch.distributions.Categorical(logits=head), torch.tensor([0.0, 2, 1, 1, 0])
-    torch.testing.assert_close(Categorical(3).log_probability(head, chosen[:, None]), categorical.log_prob(chosen))
-    torch.testing.assert_close(Categorical(3).entropy(head), categorical.entropy())
-
-
-def test_samples_have_the_spread_they_say_and_categories_their_probabilities() -> None:
+def test_samples_have_the_spread_they_say_and_categories_their_probabilities():
     generator = torch.Generator().manual_seed(0)
     actions = Gaussian(1, 0.5, "cpu").sample(torch.full((20_000, 1), 3.0), generator)
     assert float(actions.mean()) == pytest.approx(3.0, abs=0.02)
@@ -133,7 +121,7 @@ def test_samples_have_the_spread_they_say_and_categories_their_probabilities() -
 
 
 @pytest.mark.parametrize("discrete", [False, True])
-def test_the_ratio_to_the_policy_that_played_is_one_in_the_first_minibatch(discrete: bool) -> None:
+def test_the_ratio_to_the_policy_that_played_is_one_in_the_first_minibatch(discrete):
     of = replace(signature(), action=Discrete(("a", "b", "c"))) if discrete else signature()
     agent = made(of, epochs=1, minibatches=1)
     for number in range(3):  # the statistics that inputs are normalised by have moved in between
@@ -143,7 +131,7 @@ def test_the_ratio_to_the_policy_that_played_is_one_in_the_first_minibatch(discr
         assert float(metrics["policy_loss"]) == pytest.approx(0, abs=1e-5), "minus the mean of normalised advantages"
 
 
-def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch):
     of = signature()
     agent = made(of, epochs=3, minibatches=4)
     stored = np.arange(8)[:, None] < [8, 5, 0, 8]
@@ -160,7 +148,7 @@ def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch: pyte
     assert seen == Counter({row.tobytes(): 3 for row in rollout.action[stored]})
 
 
-def test_learning_stops_when_the_policy_has_moved_far_enough() -> None:
+def test_learning_stops_when_the_policy_has_moved_far_enough():
     of = signature()
     whole, short = made(of, epochs=20), made(of, epochs=20, target_kl=1e-4)
     rollout = played(whole, of)
@@ -170,7 +158,7 @@ def test_learning_stops_when_the_policy_has_moved_far_enough() -> None:
     assert float(metrics["kl"]) < 1.5e-4
 
 
-def test_the_better_of_two_actions_is_learned() -> None:
+def test_the_better_of_two_actions_is_learned():
     for of in (signature(goal=0, action=1), replace(signature(goal=0), action=Discrete(("bad", "good")))):
         agent = made(of, discount=0.0, learning_rate=1e-2)
         zeros = np.zeros((1, 3), np.float32), np.zeros((1, 0), np.float32)
@@ -180,7 +168,7 @@ def test_the_better_of_two_actions_is_learned() -> None:
         assert agent.act(*zeros, explore=False)[0, 0] > 0.5
 
 
-def test_exploring_actions_are_not_clipped_and_tested_ones_are() -> None:
+def test_exploring_actions_are_not_clipped_and_tested_ones_are():
     of = signature()
     agent = made(of, std=3.0)
     here, goal = np.zeros((500, 3), np.float32), np.zeros((500, 2), np.float32)
@@ -189,7 +177,7 @@ def test_exploring_actions_are_not_clipped_and_tested_ones_are() -> None:
     np.testing.assert_array_equal(agent.act(here, goal, explore=False), np.ones((500, 2), np.float32))
 
 
-def test_values_stay_as_they_are_when_their_scale_changes() -> None:
+def test_values_stay_as_they_are_when_their_scale_changes():
     of = signature()
     agent = made(of)
     agent.learn(played(agent, of))
@@ -199,7 +187,7 @@ def test_values_stay_as_they_are_when_their_scale_changes() -> None:
     torch.testing.assert_close(agent.value(rows), before, rtol=1e-4, atol=1e-3)
 
 
-def test_values_of_any_size_are_learned_alike() -> None:
+def test_values_of_any_size_are_learned_alike():
     errors = []
     for scale in (1.0, 1000.0):
         of = signature(goal=0)
@@ -211,7 +199,7 @@ def test_values_of_any_size_are_learned_alike() -> None:
     assert max(errors) < 0.02
 
 
-def test_the_policy_starts_near_zero_and_hidden_weights_are_orthogonal() -> None:
+def test_the_policy_starts_near_zero_and_hidden_weights_are_orthogonal():
     agent = made(hidden=(32, 32))
     weight = agent.policy.named["layer1.weight"]
     torch.testing.assert_close(weight @ weight.T, 2 * torch.eye(32), atol=1e-4, rtol=0)

@@ -27,7 +27,7 @@ def written_out(values: np.ndarray, targets: np.ndarray, weight: np.ndarray) -> 
     return total
 
 
-def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> None:
+def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own():
     generator = np.random.default_rng(0)
     values, targets = generator.normal(size=(2, 3, 4)) * 2, np.sort(generator.normal(size=(3, 7)) * 2, axis=1)
     weight = np.array([1.0, 0.5, 0.0])
@@ -43,7 +43,7 @@ def test_the_loss_is_the_quantile_huber_loss_and_the_gradient_is_its_own() -> No
     np.testing.assert_allclose(gradient, slopes, atol=1e-6)
 
 
-def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> None:
+def test_targets_leave_out_the_largest_quantiles_of_both_critics_together():
     agent = make(SAC, critic={"quantiles": 5, "drop": 1})
     data = batch(6, signature(), discount=0.5)
     inputs = tensor_batch(data, agent.normaliser, agent.device)
@@ -54,17 +54,17 @@ def test_targets_leave_out_the_largest_quantiles_of_both_critics_together() -> N
     np.testing.assert_allclose(found, data.reward[:, None] + 0.5 * kept, rtol=1e-5)
 
 
-def test_truncation_counts_over_members() -> None:
+def test_truncation_counts_over_members():
     values = torch.tensor([[[1.0, 2.0, 9.0]], [[3.0, 8.0, 7.0]]])
     assert QuantileCritic(Quantiles(quantiles=3, drop=1)).target_values(values).tolist() == [[1, 2, 3, 7]]
     assert QuantileCritic(Quantiles(quantiles=3, drop=0)).target_values(values).shape == (1, 6)
 
 
-def test_priorities_are_one_per_transition() -> None:
+def test_priorities_are_one_per_transition():
     metrics = make(SAC, critic={}).learn(batch(16, signature()))
     assert metrics["priorities"].shape == (16,)
 
 
-def test_dropping_everything_is_refused() -> None:
+def test_dropping_everything_is_refused():
     with pytest.raises(ValidationError, match="leaves none"):
         Quantiles(quantiles=3, drop=3)

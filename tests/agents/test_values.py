@@ -59,9 +59,7 @@ def targets(agent: Any, data: TensorBatch) -> torch.Tensor:
 
 @pytest.mark.parametrize(("kind", "settings"), KINDS)
 @pytest.mark.parametrize(("terminated", "value"), [(0.0, 5.0), (1.0, 1.0)])
-def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
-    kind: Any, settings: dict[str, Any], terminated: float, value: float
-) -> None:
+def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(kind, settings, terminated, value):
     agent = make(kind, discount=0.8, learning_rate=6e-3, **settings)
     for seed in range(350):
         agent.learn(played(kind, 32, seed % 20, reward=1, terminated=terminated, discount=0.8))
@@ -70,7 +68,7 @@ def test_values_look_beyond_a_truncation_and_not_beyond_a_termination(
 
 
 @pytest.mark.parametrize(("kind", "settings"), KINDS)
-def test_targets_stay_within_what_rewards_make_possible(kind: Any, settings: dict[str, Any]) -> None:
+def test_targets_stay_within_what_rewards_make_possible(kind, settings):
     bounded = replace(signature(), reward_range=(-1.0, 0.0))
     for clip in (True, False):
         agent = make(kind, bounded, discount=0.9, clip_targets=clip, **settings)
@@ -81,6 +79,6 @@ def test_targets_stay_within_what_rewards_make_possible(kind: Any, settings: dic
 
 
 @pytest.mark.parametrize("kind", [SAC, DDPG, TD3])
-def test_discrete_actions_are_refused(kind: Any) -> None:
+def test_discrete_actions_are_refused(kind):
     with pytest.raises(UsageError, match="continuous actions"):
         make(kind, replace(signature(), action=ACTIONS))

@@ -60,9 +60,7 @@ def updates(kind: Any, options: dict[str, Any], count: int) -> Iterator[dict[str
 
 
 @pytest.mark.parametrize(("kind", "options", "series"), REPLAYING)
-def test_replaying_agents_say_what_their_authors_would_look_at(
-    kind: Any, options: dict[str, Any], series: set[str]
-) -> None:
+def test_replaying_agents_say_what_their_authors_would_look_at(kind, options, series):
     every = REPORT_EVERY * options.get("policy_delay", 2 if kind is TD3 else 1)
     made = updates(kind, options, 2 * every)
     for _ in range(2):  # in each stretch of updates, not in the first alone
@@ -74,7 +72,7 @@ def test_replaying_agents_say_what_their_authors_would_look_at(
 
 
 @pytest.mark.parametrize(("kind", "options"), [(kind, options) for kind, options, _ in REPLAYING if not options])
-def test_most_updates_say_priorities_alone_and_take_no_time_for_more(kind: Any, options: dict[str, Any]) -> None:
+def test_most_updates_say_priorities_alone_and_take_no_time_for_more(kind, options):
     told = [set(metrics) for metrics in updates(kind, options, 4 * REPORT_EVERY)]
     assert sum(names == {"priorities"} for names in told) == len(told) * (1 - 1 / REPORT_EVERY)
 
@@ -99,7 +97,7 @@ def rollout(of: Signature, columns: int) -> Rollout:
     [(signature(), PPOS | CONTINUOUS), (DISCRETE, PPOS)],
     ids=["arm", "discrete"],
 )
-def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of: Signature, series: set[str]) -> None:
+def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of, series):
     agent = PPO(PPO.Settings(hidden=(8,), epochs=2, minibatches=2), of, SeedTree(0))
     for _ in range(2):
         told = dict(agent.learn(rollout(of, of.action.size)))
@@ -108,7 +106,7 @@ def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of: Signature, 
         assert all(np.isfinite(float(value)) for value in told.values())
 
 
-def test_the_page_on_tensorboard_lists_what_agents_say_and_nothing_else() -> None:
+def test_the_page_on_tensorboard_lists_what_agents_say_and_nothing_else():
     page = (Path(__file__).parents[2] / "docs" / "tensorboard.md").read_text()
     listed = set(re.findall(r"^\| `agent/(\w+)`", page, re.MULTILINE))
     assert listed == set.union(PPOS, CONTINUOUS, *(series for _, _, series in REPLAYING))

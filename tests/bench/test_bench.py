@@ -39,7 +39,7 @@ def rows_of(capfd: pytest.CaptureFixture[str], *arguments: str) -> list[dict]:
     return rows
 
 
-def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.CaptureFixture[str]) -> None:
+def test_each_precision_has_a_row_with_sampling_and_one_without(capfd):
     rows = rows_of(capfd, "updates", "--only", "sac", "--seconds", "0.1")
     assert [row["case"] for row in rows] == [
         f"sac {precision}{what}, 1 thread"
@@ -50,7 +50,7 @@ def test_each_precision_has_a_row_with_sampling_and_one_without(capfd: pytest.Ca
 
 
 @pytest.mark.usefixtures("real_processes")
-def test_what_libraries_print_does_not_reach_standard_output() -> None:
+def test_what_libraries_print_does_not_reach_standard_output():
     command = [sys.executable, "-m", "bench", "environment", "--control", "joint", "--seconds", "0.1"]
     command += ["--engine", BULLET.or_another().name]  # PyBullet prints when it is imported
     done = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True)
@@ -58,7 +58,7 @@ def test_what_libraries_print_does_not_reach_standard_output() -> None:
     assert len(done.stdout.splitlines()) == 4
 
 
-def test_time_and_memory_of_both_replay_buffers_are_measured(capfd: pytest.CaptureFixture[str]) -> None:
+def test_time_and_memory_of_both_replay_buffers_are_measured(capfd):
     rows = {row["case"]: row for row in rows_of(capfd, "buffers", "--transitions", "20000", "--seconds", "0.1")}
     laid_out = rows["rows of 20,000 transitions as laid out"]
     assert laid_out["value"] == pytest.approx(20_000 * 67 * 4 / 1e9, rel=0.2), "pick-and-place takes some 67 numbers"
@@ -73,7 +73,7 @@ def test_time_and_memory_of_both_replay_buffers_are_measured(capfd: pytest.Captu
     }
 
 
-def test_steps_stand_beside_their_physics_and_randomization_beside_none(capfd: pytest.CaptureFixture[str]) -> None:
+def test_steps_stand_beside_their_physics_and_randomization_beside_none(capfd):
     rows = rows_of(capfd, "environment", "--seconds", "0.1")
     ends = ("", " reset", " randomized episode")
     assert [row["case"] for row in rows] == [
@@ -84,7 +84,7 @@ def test_steps_stand_beside_their_physics_and_randomization_beside_none(capfd: p
         assert 0.1 < row["ratio_min"] <= row["ratio"] <= row["ratio_max"] < 1, "physics is a part of a step"
 
 
-def test_resets_steps_and_waiting_environments_are_measured(capfd: pytest.CaptureFixture[str]) -> None:
+def test_resets_steps_and_waiting_environments_are_measured(capfd):
     toy = "--resets 20 --more-resets 40 --repeats 1 --seconds 0.05 --threads 2 --environments 2"
     rows = rows_of(capfd, "orchestrator", *toy.split())
     assert {row["unit"] for row in rows} == {"s", "steps/s", "us/step"}
@@ -102,9 +102,7 @@ def forked(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("forked")
-def test_the_store_is_rebuilt_asked_and_written_to(
-    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_store_is_rebuilt_asked_and_written_to(capfd, monkeypatch):
     monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
     sizes = ["--runs", "20", "--tests", "2", "--episodes", "5", "--writers", "2", "--repeats", "1"]
     rows = rows_of(capfd, "store", *sizes)
@@ -135,7 +133,7 @@ def successes(environment: RobotTask, *, expert: bool) -> list[list[bool]]:
 
 
 @pytest.mark.usefixtures("forked")
-def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_processes() -> None:
+def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_processes():
     row = next(experts.measure(pair=["panda/push", "ur5/reach"], episodes=EPISODES, steps=50, jobs=2)).dump()
     environment = pair("panda", "push")
     by_expert, by_chance = successes(environment, expert=True), successes(environment, expert=False)
@@ -151,7 +149,7 @@ def test_experts_are_counted_as_episodes_played_by_hand_with_any_number_of_proce
 
 
 @pytest.mark.usefixtures("forked")
-def test_every_pair_that_goes_together_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_pair_that_goes_together_is_measured(monkeypatch):
     monkeypatch.setattr(experts, "names", {"robots": ["iiwa", "panda"], "tasks": ["insert", "open"]}.get)
     cases = [row.case for row in experts.measure(episodes=1, jobs=1)]
     assert cases == ["iiwa insert", "iiwa open", "panda insert", "panda open"]
@@ -167,22 +165,20 @@ def test_every_pair_that_goes_together_is_measured(monkeypatch: pytest.MonkeyPat
         (["peer", "specs/toy.yaml"], MachineError),
     ],
 )
-def test_what_cannot_be_measured_is_refused(
-    arguments: list[str], error: type[Exception], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_cannot_be_measured_is_refused(arguments, error, monkeypatch):
     monkeypatch.setattr("bench.side_by_side.find_spec", lambda _: None)
     with pytest.raises(error):
         main(arguments)
 
 
-def test_peers_that_are_not_installed_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_peers_that_are_not_installed_are_told(monkeypatch):
     monkeypatch.setattr("bench.side_by_side.find_spec", lambda _: None)
     with pytest.raises(MachineError, match="no peer"):
         next(updates.measure(peers=True))
 
 
 @pytest.mark.parametrize("path", sorted((ROOT / "bench/agents").glob("*.yaml")), ids=lambda path: path.stem)
-def test_every_spec_of_an_agent_has_parts_that_go_together_and_a_peer(path: Path) -> None:
+def test_every_spec_of_an_agent_has_parts_that_go_together_and_a_peer(path):
     spec = load_spec(path)
     assert spec.name == path.stem
     check_parts(spec)

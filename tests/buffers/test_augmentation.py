@@ -63,9 +63,7 @@ def played(environment: RobotTask, begin: Callable[[], None], actions: FloatArra
         ("panda", "insert", inserting, {"control": "impedance", "turn_step": 0.03}),
     ],
 )
-def test_what_is_mirrored_and_moved_is_what_happens_there(
-    robot: str, task: str, begin: Callable[..., None], arm: dict
-) -> None:
+def test_what_is_mirrored_and_moved_is_what_happens_there(robot, task, begin, arm):
     environment = made(task, robot, arm={"base": "centred", "reset_noise": 0.0, **arm})
     signature, way = environment.signature, (0.03, -0.04)
     actions = random_actions(signature, STEPS, SeedTree(0).generator())
@@ -84,7 +82,7 @@ def test_what_is_mirrored_and_moved_is_what_happens_there(
     np.testing.assert_allclose(found["desired_goal"], rows["desired_goal"], atol=1e-6)
 
 
-def test_a_batch_has_each_transition_at_its_place_in_a_mirror_or_not_and_rewards_that_fit_its_goals() -> None:
+def test_a_batch_has_each_transition_at_its_place_in_a_mirror_or_not_and_rewards_that_fit_its_goals():
     signature = pair("panda", "push").signature
     buffer = filled_buffer("uniform", signature, 4, 800, hindsight={}, augmentation={"shift": 0.2})
     stored, batch = buffer.storage.table, buffer.sample(256)
@@ -103,7 +101,7 @@ def test_a_batch_has_each_transition_at_its_place_in_a_mirror_or_not_and_rewards
     assert 0.05 < (batch.reward == 0).mean() < 0.95
 
 
-def test_what_is_lifted_moves_along_z_as_a_whole() -> None:
+def test_what_is_lifted_moves_along_z_as_a_whole():
     signature = pair("panda", "reach").signature
     buffer = filled_buffer("uniform", signature, 4, 800, augmentation={"lift": 0.3, "shift": 0, "mirror": False})
     batch, goal = buffer.sample(256), buffer.storage.column("desired_goal", np.arange(len(buffer)))
@@ -116,7 +114,7 @@ def test_what_is_lifted_moves_along_z_as_a_whole() -> None:
         assert np.abs(before - one + (0, 0, lift)).max(1).min() < 1e-6
 
 
-def test_a_twist_turns_tool_and_goal_by_one_angle_about_their_own_z() -> None:
+def test_a_twist_turns_tool_and_goal_by_one_angle_about_their_own_z():
     signature = pair("panda", "reach_pose").signature
     rows = StoredTransitions(transition_layout(signature), 200)
     rows.table[:] = np.random.default_rng(0).normal(size=rows.table.shape)
@@ -144,13 +142,13 @@ def test_a_twist_turns_tool_and_goal_by_one_angle_about_their_own_z() -> None:
         ({"environment": {"actions": "discrete"}}, "discrete actions have no mirror image"),
     ],
 )
-def test_what_has_no_mirror_image_is_refused(how: dict, said: str) -> None:
+def test_what_has_no_mirror_image_is_refused(how, said):
     environment = made("push", **how)
     with pytest.raises(UsageError, match=said):
         Augmentation(Augmentation.Settings(), environment.signature)
 
 
-def test_only_the_first_batches_are_changed_also_when_a_state_is_loaded() -> None:
+def test_only_the_first_batches_are_changed_also_when_a_state_is_loaded():
     signature = pair("panda", "push").signature
     buffer, other = (  # sampled once
         filled_buffer("uniform", signature, 4, 800, augmentation={"batches": 3, "mirror": False}) for _ in range(2)

@@ -21,31 +21,31 @@ def filled(signature: Signature, steps: int, hindsight: dict[str, Any], *, falle
     return buffer
 
 
-def test_the_reward_is_that_of_the_next_achieved_goal() -> None:
+def test_the_reward_is_that_of_the_next_achieved_goal():
     batch = filled(counting_signature(6), 12, ALWAYS).sample(500)
     arrived = [(episode, step + 1) == goal for (episode, step), goal in zip(places(batch), goals(batch), strict=True)]
     np.testing.assert_array_equal(batch.reward, np.float32(arrived))
     assert 0 < batch.reward.mean() < 1
 
 
-def test_termination_is_recomputed_under_the_new_goal() -> None:
+def test_termination_is_recomputed_under_the_new_goal():
     batch = filled(counting_signature(6, rule=SameStep(ends=True)), 12, ALWAYS).sample(500)
     np.testing.assert_array_equal(batch.terminated, batch.reward)
     assert 0 < batch.terminated.mean() < 1
 
 
-def test_a_termination_that_no_goal_explains_remains_under_any_goal() -> None:
+def test_a_termination_that_no_goal_explains_remains_under_any_goal():
     batch = filled(counting_signature(3), 6, ALWAYS, fallen=True).sample(200)
     np.testing.assert_array_equal(batch.terminated, [float(step == 2) for _, step in places(batch)])
 
 
-def test_the_share_of_relabelled_transitions_is_the_ratio() -> None:
+def test_the_share_of_relabelled_transitions_is_the_ratio():
     buffer = filled(counting_signature(50), 50, {"ratio": 0.8, "min_displacement": 0.0})
     relabelled = (buffer.sample(20_000).desired_goal[:, 0] > 0).mean()
     assert relabelled == pytest.approx(0.8, abs=5 * (0.16 / 20_000) ** 0.5)
 
 
-def test_the_original_goal_is_kept_where_nothing_moved() -> None:
+def test_the_original_goal_is_kept_where_nothing_moved():
     # One step moves the achieved goal by 1 here, k steps by k.
     batch = filled(counting_signature(10), 10, {"ratio": 1.0, "min_displacement": 2.5}).sample(2000)
     kept = batch.desired_goal[:, 0] == -7
@@ -55,14 +55,14 @@ def test_the_original_goal_is_kept_where_nothing_moved() -> None:
     assert min(moved) == 3
 
 
-def test_a_share_of_the_new_goals_is_achieved_by_the_transition_itself() -> None:
+def test_a_share_of_the_new_goals_is_achieved_by_the_transition_itself():
     batch = filled(counting_signature(50), 50, {**ALWAYS, "strategy": "final", "next_share": 0.25}).sample(20_000)
     before_the_end = np.array([step < 49 for _, step in places(batch)])
     assert batch.reward[before_the_end].mean() == pytest.approx(0.25, abs=5 * (0.1875 / 20_000) ** 0.5)
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
-def test_what_a_reward_adds_to_the_rules_stays_under_any_goal(n_step: int) -> None:
+def test_what_a_reward_adds_to_the_rules_stays_under_any_goal(n_step):
     signature = replace(counting_signature(6), extra_reward=(-0.5, 0.0))
     buffers = [make_buffer(Uniform, signature, 12, hindsight=ALWAYS, n_step=n_step) for _ in range(2)]
     for buffer, extra in zip(buffers, (0.0, -0.25), strict=True):
@@ -79,14 +79,14 @@ def test_what_a_reward_adds_to_the_rules_stays_under_any_goal(n_step: int) -> No
         buffers[0].add(too_much)
 
 
-def test_relabelling_does_not_change_what_is_stored() -> None:
+def test_relabelling_does_not_change_what_is_stored():
     buffer = filled(counting_signature(5), 10, {"ratio": 1.0})
     before = buffer.state()["storage"]["table"]
     buffer.sample(100)
     np.testing.assert_array_equal(buffer.state()["storage"]["table"], before)
 
 
-def test_a_reward_that_is_not_the_goal_rules_is_refused_with_hindsight_only() -> None:
+def test_a_reward_that_is_not_the_goal_rules_is_refused_with_hindsight_only():
     wrong = Counting(1).step([0], over=[False])._replace(reward=np.float32([0.5]))
     buffer = make_buffer(Uniform, counting_signature(5), 10, hindsight={})
     with pytest.raises(PluginError, match=r"gave reward 0\.5, its goal rule says 0"):
@@ -97,7 +97,7 @@ def test_a_reward_that_is_not_the_goal_rules_is_refused_with_hindsight_only() ->
     assert (plain.sample(4).reward == 0.5).all()
 
 
-def test_an_environment_that_ignores_its_goal_rules_termination_is_refused() -> None:
+def test_an_environment_that_ignores_its_goal_rules_termination_is_refused():
     buffer = make_buffer(Uniform, counting_signature(5, rule=SameStep(ends=True)), 10, hindsight={})
     transitions = Counting(1).step([0], over=[False])
     reached = transitions.next_achieved_goal[:, :2]

@@ -1,7 +1,5 @@
 """The on-policy buffer: every transition once and in order, whatever environments answer and wherever they end."""
 
-from typing import Any
-
 import numpy as np
 import pytest
 from support.worlds import Counting, counting_signature
@@ -27,7 +25,7 @@ def places(rollout: Rollout) -> list[list[tuple[int, int]]]:
     return found
 
 
-def test_every_transition_is_given_exactly_once_and_in_order_over_many_rollouts() -> None:
+def test_every_transition_is_given_exactly_once_and_in_order_over_many_rollouts():
     buffer, world = made(rollout=4, environments=3), Counting(3)
     given: list[list[tuple[int, int]]] = [[], [], []]
     for call in range(24):
@@ -38,7 +36,7 @@ def test_every_transition_is_given_exactly_once_and_in_order_over_many_rollouts(
     assert given == world.given
 
 
-def test_ends_stand_where_episodes_end_and_where_the_rollout_does() -> None:
+def test_ends_stand_where_episodes_end_and_where_the_rollout_does():
     buffer, world = made(rollout=4, environments=2), Counting(2)
     for call in range(4):
         buffer.add(world.step([0, 1], over=[call == 1, call == 2], fallen=call == 2))
@@ -47,7 +45,7 @@ def test_ends_stand_where_episodes_end_and_where_the_rollout_does() -> None:
     assert rollout.terminated.T.tolist() == [[False] * 4, [False, False, True, False]]
 
 
-def test_a_cut_episode_ends_at_its_last_sound_step_as_if_truncated() -> None:
+def test_a_cut_episode_ends_at_its_last_sound_step_as_if_truncated():
     buffer, world = made(rollout=4, environments=2), Counting(2)
     for call in range(4):
         if call == 2:  # environment 1 diverged: its step is no experience
@@ -61,7 +59,7 @@ def test_a_cut_episode_ends_at_its_last_sound_step_as_if_truncated() -> None:
     assert not rollout.terminated.any()
 
 
-def test_cutting_an_environment_without_a_row_changes_nothing() -> None:
+def test_cutting_an_environment_without_a_row_changes_nothing():
     buffer, world = made(rollout=2, environments=2), Counting(2)
     buffer.cut(np.array([0, 1]))
     for _ in range(2):
@@ -69,7 +67,7 @@ def test_cutting_an_environment_without_a_row_changes_nothing() -> None:
     assert buffer.sample(4).ended.tolist() == [[False, False], [True, True]]
 
 
-def test_rows_of_an_older_rollout_are_not_stored_in_a_shorter_one() -> None:
+def test_rows_of_an_older_rollout_are_not_stored_in_a_shorter_one():
     buffer, world = made(rollout=3, environments=2), Counting(2)
     for _ in range(3):
         buffer.add(world.step([0, 1], over=[True, True]))
@@ -80,21 +78,21 @@ def test_rows_of_an_older_rollout_are_not_stored_in_a_shorter_one() -> None:
     assert places(rollout) == [[], world.given[1][3:]]
 
 
-def test_actions_are_stored_as_they_were_given() -> None:
+def test_actions_are_stored_as_they_were_given():
     buffer, world = made(rollout=1, environments=1), Counting(1)
     wild = np.float32([[7.5, -3.25]])
     buffer.add(world.step([0], over=[False])._replace(action=wild))
     np.testing.assert_array_equal(buffer.sample(1).action[0], wild)
 
 
-def test_a_complete_rollout_is_never_overwritten() -> None:
+def test_a_complete_rollout_is_never_overwritten():
     buffer, world = made(rollout=1, environments=1), Counting(1)
     buffer.add(world.step([0], over=[False]))
     with pytest.raises(RunError, match="was not sampled"):
         buffer.add(world.step([0], over=[False]))
 
 
-def test_a_part_of_a_rollout_cannot_be_had() -> None:
+def test_a_part_of_a_rollout_cannot_be_had():
     buffer, world = made(rollout=2, environments=1), Counting(1)
     buffer.add(world.step([0], over=[False]))
     with pytest.raises(RunError, match="not complete"):
@@ -105,7 +103,7 @@ def test_a_part_of_a_rollout_cannot_be_had() -> None:
 
 
 @pytest.mark.parametrize("other", [{"rollout": 2, "environments": 2}, {"rollout": 4, "environments": 3}])
-def test_the_state_of_another_shape_is_refused(other: dict[str, Any]) -> None:
+def test_the_state_of_another_shape_is_refused(other):
     buffer, world = made(**other), Counting(3)
     for _ in range(2 if other["rollout"] == 2 else 3):
         buffer.add(world.step(range(other["environments"]), over=[False] * other["environments"]))

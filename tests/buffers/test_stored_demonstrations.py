@@ -41,7 +41,7 @@ def sampled(buffer: Any, size: int = 2000) -> set[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_demonstrations_are_never_overwritten(buffer: Any) -> None:
+def test_demonstrations_are_never_overwritten(buffer):
     made = make(buffer)
     made.add_demonstrations(episodes(5))
     shown = {(episode, step) for episode in range(100, 105) for step in range(STEPS)}
@@ -52,7 +52,7 @@ def test_demonstrations_are_never_overwritten(buffer: Any) -> None:
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_a_batch_says_which_rows_are_demonstrated(buffer: Any) -> None:
+def test_a_batch_says_which_rows_are_demonstrated(buffer):
     made = make(buffer)
     filled(made, 10)
     assert made.sample(32).demonstrated is None
@@ -63,7 +63,7 @@ def test_a_batch_says_which_rows_are_demonstrated(buffer: Any) -> None:
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_hindsight_takes_goals_from_the_same_demonstration(buffer: Any) -> None:
+def test_hindsight_takes_goals_from_the_same_demonstration(buffer):
     made = make(buffer, hindsight={"ratio": 1.0, "min_displacement": 0.0})
     made.add_demonstrations(episodes(4))
     batch = made.sample(500)
@@ -74,7 +74,7 @@ def test_hindsight_takes_goals_from_the_same_demonstration(buffer: Any) -> None:
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> None:
+def test_returns_over_several_steps_end_with_the_demonstration(buffer):
     made = make(buffer, n_step=3)
     made.add_demonstrations(episodes(4))
     batch = made.sample(500)
@@ -85,7 +85,7 @@ def test_returns_over_several_steps_end_with_the_demonstration(buffer: Any) -> N
 
 @pytest.mark.parametrize("share", [None, 0.25])
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: Any, share: float | None) -> None:
+def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer, share):
     first, second = make(buffer), make(buffer)
     first.add_demonstrations(episodes(5), share)
     world = filled(first, 17)
@@ -103,7 +103,7 @@ def test_a_fresh_buffer_goes_on_with_the_demonstrations_of_a_saved_one(buffer: A
             made.update_priorities(batch.slot, np.arange(64, dtype=np.float32))
 
 
-def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps_its_own() -> None:
+def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps_its_own():
     made = make(Priority, alpha=1.0)
     filled(made, 10)
     batch = made.sample(64)
@@ -117,7 +117,7 @@ def test_demonstrations_begin_with_the_largest_priority_and_what_was_there_keeps
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
+def test_a_share_of_each_batch_is_demonstrated(buffer):
     made = make(buffer)
     made.add_demonstrations(episodes(2), 0.25)
     assert made.sample(40).demonstrated.all()  # there is nothing else
@@ -130,7 +130,7 @@ def test_a_share_of_each_batch_is_demonstrated(buffer: Any) -> None:
     assert sampled(made) == {(episode, step) for episode in (100, 101) for step in range(STEPS)} | world.stored(12)
 
 
-def test_a_share_is_sampled_by_priority_and_weights_correct_the_bias_within_each_part() -> None:
+def test_a_share_is_sampled_by_priority_and_weights_correct_the_bias_within_each_part():
     made = make(Priority, alpha=1.0, beta=1.0)
     made.add_demonstrations(episodes(2), 0.5)
     filled(made, 10)
@@ -147,7 +147,7 @@ def test_a_share_is_sampled_by_priority_and_weights_correct_the_bias_within_each
 
 
 @pytest.mark.parametrize("beta", [0.4, 1.0])
-def test_importance_weights_leave_demonstrations_their_share_of_the_loss(beta: float) -> None:
+def test_importance_weights_leave_demonstrations_their_share_of_the_loss(beta):
     made = make(Priority, capacity=2000, alpha=0.6, beta=beta, beta_updates=10**9)
     made.add_demonstrations(episodes(2), 0.25)  # 10 demonstrated transitions beside 2,000
     filled(made, 1000)
@@ -162,7 +162,7 @@ def test_importance_weights_leave_demonstrations_their_share_of_the_loss(beta: f
 
 @pytest.mark.parametrize("share", [None, 0.25])
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_an_empty_list_of_demonstrations_changes_nothing(buffer: Any, share: float | None) -> None:
+def test_an_empty_list_of_demonstrations_changes_nothing(buffer, share):
     plain, empty = make(buffer), make(buffer)
     empty.add_demonstrations([], share)
     for made in (plain, empty):
@@ -174,7 +174,7 @@ def test_an_empty_list_of_demonstrations_changes_nothing(buffer: Any, share: flo
 
 @pytest.mark.parametrize("with_demonstrations", [False, True])
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_relabelled_transitions_are_imitated_if_hindsight_says_so(buffer: Any, with_demonstrations: bool) -> None:
+def test_relabelled_transitions_are_imitated_if_hindsight_says_so(buffer, with_demonstrations):
     plain, imitating = (
         make(buffer, hindsight={"ratio": 0.5, "min_displacement": 0.0, "imitate": imitate}) for imitate in (False, True)
     )

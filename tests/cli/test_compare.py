@@ -1,7 +1,5 @@
 """`karolos compare` and `karolos diff` over run folders and their index."""
 
-from __future__ import annotations
-
 import csv
 import io
 import json
@@ -50,7 +48,7 @@ def refused(*arguments: object) -> str:
     return err
 
 
-def test_experiments_are_compared_seed_by_seed(runs: Path) -> None:
+def test_experiments_are_compared_seed_by_seed(runs):
     for seed, k in enumerate((12, 16)):
         add_run(runs, seed, (4, k))
         add_run(runs, seed, (4, k + 4), name="better", experiment=B)
@@ -63,7 +61,7 @@ def test_experiments_are_compared_seed_by_seed(runs: Path) -> None:
     assert [row["parameters"] for row in (first, second)] == [{"name": "reach"}, {"name": "better"}]
 
 
-def test_experiment_is_named_by_name_hash_spec_file_or_run(runs: Path, tmp_path: Path) -> None:
+def test_experiment_is_named_by_name_hash_spec_file_or_run(runs, tmp_path):
     file = tmp_path / "toy.yaml"
     file.write_text("environment: toy\nagent: sac\n")
     run = add_run(runs, 0, experiment=load_spec(file).hash())
@@ -74,7 +72,7 @@ def test_experiment_is_named_by_name_hash_spec_file_or_run(runs: Path, tmp_path:
         assert (row["n"], row["experiment"] == B) == (n, selector not in {file, "reach", run})
 
 
-def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_without_a_test_is_named(runs: Path) -> None:
+def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_without_a_test_is_named(runs):
     add_run(runs, 0, (1, 2))
     chosen = add_run(runs, 0, (1, 3))
     add_run(runs, 0, (1, 4), state="failed")
@@ -85,7 +83,7 @@ def test_of_several_runs_with_one_seed_the_newest_finished_counts_and_one_withou
     assert row["warnings"][1] == f"reach: left out, because they have no test: {untested}"
 
 
-def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path) -> None:
+def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs):
     added = [add_run(runs, seed) for seed in range(2)]
     before = rows("compare", "reach", "--runs", runs)
     for run in added:
@@ -94,7 +92,7 @@ def test_experiment_whose_folders_are_gone_is_compared_from_the_index(runs: Path
     assert before[0]["success_any"]["value"] == 0.75
 
 
-def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs: Path, tmp_path: Path) -> None:
+def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs, tmp_path):
     add_run(runs, 0, (5, 15))
     other = tmp_path / "elsewhere" / "reach-s0"
     shutil.copytree(tmp_path / "elsewhere" / add_run(other.parent, 0, (5, 20)), other)
@@ -103,7 +101,7 @@ def test_path_of_a_run_folder_elsewhere_means_its_own_run(runs: Path, tmp_path: 
     assert "has no test yet" in refused("compare", tmp_path / "untested", "--runs", runs)
 
 
-def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
+def test_a_policy_that_ships_is_told_to_be_meant(runs):
     add_run(runs, 0)
     folder = RunFolder.create(runs, "panda_pick", 0)  # which the index does not have
     folder.describe(SPEC, experiment=A)
@@ -113,7 +111,7 @@ def test_a_policy_that_ships_is_told_to_be_meant(runs: Path) -> None:
     assert f"panda_pick: the shipped policy, because the index of {runs} has no run of this name" in err
 
 
-def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(runs: Path) -> None:
+def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(runs):
     add_run(runs, 0, name="panda_pick")
     [own], [shipped] = (rows("compare", name, "--runs", runs) for name in ("panda_pick", "shipped:panda_pick"))
     assert own["runs"][0].startswith("panda_pick-s0-")
@@ -133,7 +131,7 @@ def test_where_a_run_has_the_name_of_a_policy_that_ships_a_prefix_means_that(run
     )
 
 
-def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(runs: Path) -> None:
+def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(runs):
     write_sweep(runs, "x", [some_trial(0)], SweepFinal(0, (1,), (5,), (0.5, 1), {0: (0.5, 1)}, None))
     for seed in (0, 5):
         add_run(runs, seed, name="x-t000")
@@ -143,7 +141,7 @@ def test_name_of_a_best_spec_without_runs_means_the_trial_that_its_sweep_chose(r
     assert rows("compare", "x-best", "--runs", runs)[0]["seeds"] == [6]
 
 
-def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
+def test_warnings_go_to_stderr_and_numbers_to_stdout(runs):
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
     add_run(runs, 1, name="better", experiment=B, state="stopped")
@@ -155,7 +153,7 @@ def test_warnings_go_to_stderr_and_numbers_to_stdout(runs: Path) -> None:
     assert "stopped at 2,000 steps" in err
 
 
-def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs: Path, tmp_path: Path) -> None:
+def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(runs, tmp_path):
     for seed in range(2):
         add_run(runs, seed)
     page, figures = tmp_path / "page.html", tmp_path / "figures.2"
@@ -171,7 +169,7 @@ def test_page_and_figures_are_written_in_the_chosen_size_and_keep_their_text(run
     assert "success ratio at the end" in drawn
 
 
-def test_tables_are_written_for_papers_and_spreadsheets(runs: Path, tmp_path: Path) -> None:
+def test_tables_are_written_for_papers_and_spreadsheets(runs, tmp_path):
     add_run(runs, 0)
     add_run(runs, 0, name="better", experiment=B)
     label = '=x_1 & 50 %,"'
@@ -193,7 +191,7 @@ def test_tables_are_written_for_papers_and_spreadsheets(runs: Path, tmp_path: Pa
     assert "--figure: nothing is drawn" in refused("compare", "reach", *options[:2], "--figure", "steps")
 
 
-def test_densities_are_read_from_the_database(runs: Path) -> None:
+def test_densities_are_read_from_the_database(runs):
     for seed, k in enumerate((12, 16, 20)):
         add_run(runs, seed, (4, k))
     before = rows("compare", "reach", "--runs", runs)[0]["density"]
@@ -205,7 +203,7 @@ def test_densities_are_read_from_the_database(runs: Path) -> None:
     assert rows("compare", "reach", "--runs", runs)[0]["density"] == before | {"mean": 0.125}
 
 
-def test_experiments_are_called_by_their_labels_and_told_apart_if_they_have_one_name(runs: Path) -> None:
+def test_experiments_are_called_by_their_labels_and_told_apart_if_they_have_one_name(runs):
     add_run(runs, 0)
     add_run(runs, 1)
     run = add_run(runs, 0, experiment=B)
@@ -216,7 +214,7 @@ def test_experiments_are_called_by_their_labels_and_told_apart_if_they_have_one_
         assert "--label: 1 different labels for 2 experiments" in refused(*both, *labels)
 
 
-def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) -> None:
+def test_arguments_that_cannot_be_meant_are_refused(runs, tmp_path):
     there = ("--runs", runs)
     runs.mkdir()
     assert "there are no runs" in refused("compare", "reach", *there)
@@ -247,9 +245,9 @@ def test_arguments_that_cannot_be_meant_are_refused(runs: Path, tmp_path: Path) 
     assert "there are no runs of" in refused("compare", file, *there)
 
 
-def test_diff_shows_what_two_runs_were_made_from(runs: Path) -> None:
+def test_diff_shows_what_two_runs_were_made_from(runs):
     one = add_run(runs, 0)
-    other = add_run(runs, 1, spec=SPEC | {"agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
+    other = add_run(runs, 1, spec=SPEC | {"seeds": [1], "agent": {"name": "sac", "learning_rate": 1e-4}}, experiment=B)
     assert rows("diff", one, other, "--runs", runs) == [
         {"part": "run", "key": "seed", "a": 0, "b": 1, "missing": None},
         {"part": "spec", "key": "agent.learning_rate", "a": 1e-3, "b": 1e-4, "missing": None},
@@ -260,7 +258,7 @@ def test_diff_shows_what_two_runs_were_made_from(runs: Path) -> None:
     assert call(app, "diff", one, one, "--runs", str(runs)) == (0, "", "no difference in settings, versions and code\n")
 
 
-def test_diff_shows_versions_commit_and_changed_files(runs: Path) -> None:
+def test_diff_shows_versions_commit_and_changed_files(runs):
     one, other = add_run(runs, 0), add_run(runs, 0)
     path = runs / other / "run.json"
     about = json.loads(path.read_text())
@@ -274,7 +272,7 @@ def test_diff_shows_versions_commit_and_changed_files(runs: Path) -> None:
     assert found == {("version", "torch"): "1.0", ("code", "commit"): "abc", ("code", "x.py"): "changed: +1 -1"}
 
 
-def test_diff_of_spec_files(runs: Path, tmp_path: Path) -> None:
+def test_diff_of_spec_files(runs, tmp_path):
     for name, steps in (("a", 100), ("b", 200)):
         (tmp_path / f"{name}.yaml").write_text(f"environment: toy\nagent: sac\ntraining: {{steps: {steps}}}\n")
     found = rows("diff", tmp_path / "a.yaml", tmp_path / "b.yaml", "--runs", runs)
@@ -283,7 +281,7 @@ def test_diff_of_spec_files(runs: Path, tmp_path: Path) -> None:
     assert f"{missing}: there is no such file" in refused("diff", missing, missing, "--runs", runs)
 
 
-def test_diff_of_a_run_and_a_spec_leaves_out_what_is_not_a_runs_own(runs: Path, tmp_path: Path) -> None:
+def test_diff_of_a_run_and_a_spec_leaves_out_what_is_not_a_runs_own(runs, tmp_path):
     file = tmp_path / "reach.yaml"
     file.write_text(
         "environment: toy\nagent: sac\nlauncher: local\nsweep: {space: {agent.learning_rate: {float: [1e-4, 1e-2]}}}\n"

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import re
 import shutil
 import sqlite3
@@ -23,7 +21,7 @@ compare_app = typer.Typer()
 compare_app.command()(compare)
 
 
-def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path) -> None:
+def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs):
     first, second = add_run(runs, 0), add_run(runs, 1)
     before = rows(runs_app, "list")
     (runs / "karolos.sqlite").unlink()
@@ -39,7 +37,7 @@ def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs: Path)
     assert len(rows(runs_app, "list")) == 2  # damaged is not gone
 
 
-def test_check_is_silent_or_lists_differences_and_ends_with_4(runs: Path) -> None:
+def test_check_is_silent_or_lists_differences_and_ends_with_4(runs):
     first, second = add_run(runs, 0), add_run(runs, 1)
     fine = call(app, "check", "--json")
     assert (fine.stdout, fine.stderr) == ("", "the database agrees with the run folders\n")
@@ -55,7 +53,7 @@ def test_check_is_silent_or_lists_differences_and_ends_with_4(runs: Path) -> Non
     assert call(app, "check").stdout == ""
 
 
-def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
+def test_check_of_nothing_is_told_and_makes_nothing(runs):
     with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
         call(app, "check")
     with pytest.raises(UsageError, match="there is no folder"):
@@ -63,7 +61,7 @@ def test_check_of_nothing_is_told_and_makes_nothing(runs: Path) -> None:
     assert not runs.exists()
 
 
-def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs: Path) -> None:
+def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs):
     with pytest.raises(StoreError, match="there is no database; `karolos db reindex` makes one"):
         call(app, "upgrade")
     add_run(runs, 0)
@@ -84,7 +82,7 @@ def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs:
         call(app, "upgrade")
 
 
-def test_runs_and_database_of_version_0_1_are_listed_shown_compared_and_continued(runs: Path) -> None:
+def test_runs_and_database_of_version_0_1_are_listed_shown_compared_and_continued(runs):
     """Written by karolos 0.1: two finished runs, one that was stopped, and the database with schema 7."""
     with tarfile.open(Path(__file__).with_name("runs_of_0.1.tar.xz")) as archive:
         archive.extractall(runs.parent, filter="data")

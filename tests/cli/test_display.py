@@ -1,7 +1,5 @@
 """The bar of a run: what it does, and how far it is."""
 
-from __future__ import annotations
-
 import io
 import re
 
@@ -30,7 +28,7 @@ STARTED = RunStarted("run", 0, 6000, "runs/run")
 TESTED = RunTested("run", result(5000, 100, 100))
 
 
-def test_bar_says_what_a_run_does_besides_training() -> None:
+def test_bar_says_what_a_run_does_besides_training():
     trained = RunAdvanced("run", 100, 10, 2, 1.0, False)
     for events, end in (
         ([RunBusy("run", "collecting demonstrations", 12, 100)], "starting collecting demonstrations 12/100"),
@@ -43,7 +41,7 @@ def test_bar_says_what_a_run_does_besides_training() -> None:
         assert re.sub(" +", " ", last_line(200, STARTED, *events)).endswith(end)
 
 
-def test_a_line_has_the_speed_since_the_line_before() -> None:
+def test_a_line_has_the_speed_since_the_line_before():
     screen = io.StringIO()
     plain = Plain(screen)
     for event in (
@@ -57,7 +55,7 @@ def test_a_line_has_the_speed_since_the_line_before() -> None:
     assert speeds == ["100 steps/s, 10 updates/s)", "50 steps/s, warm-up)"]
 
 
-def test_a_log_says_every_five_seconds_how_far_a_run_is_before_its_first_test(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_log_says_every_five_seconds_how_far_a_run_is_before_its_first_test(monkeypatch):
     clock = [0.0]
     monkeypatch.setattr("karolos_cli.display.time.monotonic", lambda: clock[0])
     screen = io.StringIO()
@@ -74,7 +72,7 @@ def test_a_log_says_every_five_seconds_how_far_a_run_is_before_its_first_test(mo
     ]
 
 
-def test_bar_fits_a_narrow_terminal() -> None:
+def test_bar_fits_a_narrow_terminal():
     advanced = [RunAdvanced("run", steps, 2650, 100, steps / 290, False) for steps in (5000, 5296)]
     line = last_line(80, STARTED, *advanced, TESTED, RunBusy("run", "testing", 37, 100))
     assert len(line) <= 80

@@ -1,11 +1,8 @@
 """What help says of options."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 
-import pytest
 import typer
 from karolos_cli.main import app
 from typer.testing import CliRunner
@@ -19,7 +16,7 @@ def commands(group: typer.core.TyperGroup, path: str = "karolos") -> Iterator[tu
             yield f"{path} {name}", command
 
 
-def test_help_says_what_each_option_takes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_help_says_what_each_option_takes(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
     for name, _ in commands(typer.main.get_command(app)):
         shown = CliRunner().invoke(app, [*name.split()[1:], "--help"]).stdout
@@ -27,6 +24,6 @@ def test_help_says_what_each_option_takes(monkeypatch: pytest.MonkeyPatch) -> No
         assert not re.findall(r"<(?:bool|str|path|file|directory|int range|float range|list.*?)>", options), name
 
 
-def test_every_command_stands_in_a_group() -> None:
+def test_every_command_stands_in_a_group():
     found = typer.main.get_command(app).commands.values()
     assert {command.rich_help_panel for command in found} == {"Train", "Look", "Compare", "Extend", "Keep"}

@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -16,7 +13,7 @@ SMALL = ("--width", "32", "--height", "24")
 
 
 @pytest.mark.parametrize("name", ROBOTS)
-def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
+def test_robot_is_shown_with_a_picture(name, tmp_path):
     target = tmp_path / "robot.png"
     code, out, err = call(app, "robot", name, "--out", str(target), *SMALL, "--json")
     assert code == 0, err
@@ -30,7 +27,7 @@ def test_robot_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     assert Image.open(target).size == (32, 24)
 
 
-def test_robot_is_shown_without_a_goal(tmp_path: Path) -> None:
+def test_robot_is_shown_without_a_goal(tmp_path):
     def green(kind: str, name: str) -> int:
         target = tmp_path / f"{name}.png"
         assert call(app, kind, name, "--out", str(target), "--width", "160", "--height", "120")[0] == 0
@@ -42,7 +39,7 @@ def test_robot_is_shown_without_a_goal(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", names("tasks"))
-def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
+def test_task_is_shown_with_a_picture(name, tmp_path):
     target = tmp_path / "task.png"
     code, out, err = call(app, "task", name, "--out", str(target), *SMALL)
     assert code == 0, err
@@ -50,7 +47,7 @@ def test_task_is_shown_with_a_picture(name: str, tmp_path: Path) -> None:
     assert target.exists()
 
 
-def test_unknown_names_and_bad_files_are_refused(tmp_path: Path) -> None:
+def test_unknown_names_and_bad_files_are_refused(tmp_path):
     assert call(app, "robot", "pandda")[0] == 2
     assert call(app, "task", "reach", "--out", str(tmp_path / "x.txt"))[0] == 2
     assert call(app, "task", "reach", "--out", str(tmp_path / "none" / "x.png"))[0] == 2

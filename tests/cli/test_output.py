@@ -1,7 +1,5 @@
 """Rows and text on their way to the terminal."""
 
-from __future__ import annotations
-
 import json
 import sys
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """`karolos sweep` and `karolos transfer`: what they say; tests/plans runs them."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal
@@ -55,8 +53,6 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
     ("arguments", "code", "words"),
     [
         (["sweep.space.agent.learning_rate={float: [0, 1]}"], 2, ["agent.learning_rate", "greater than 0"]),
-        (["sweep.space.agent.learning_rat={float: [1, 2]}"], 2, ["'learning_rate'"]),
-        (["sweep.objective=sucess_end"], 2, ["'sucess_end'", "success_end"]),
         (["sweep.objective=measures.foo"], 2, ["'measures.foo'", "sweep.objective"]),
         (["sweep.space={}", "sweep.space.agent.learning_rate=null"], 2, ["sweep.space"]),
         (["sweep=null"], 2, ["no sweep"]),
@@ -121,7 +117,7 @@ def test_bar_shows_trials_and_the_best_so_far():
     assert "trial 0 complete: success_end 0.9 with agent.learning_rate=0.001 [1/4]" in text
 
 
-def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path, monkeypatch):
     small = ("training.steps=40", "seeds=[0]", "transfer.modes=[zero_shot]", "transfer.fine_tune=null")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("COLUMNS", "80")
@@ -156,9 +152,7 @@ def test_a_stopped_matrix_says_how_to_go_on_and_then_reports(tmp_path: Path, mon
         ("transfer", signal.SIGTERM, "hostile is stopped: the same command with --resume continues it"),
     ],
 )
-def test_a_signal_ends_a_command_whose_environment_hangs_with_a_line(
-    command: str, number: signal.Signals, said: str, tmp_path: Path
-) -> None:
+def test_a_signal_ends_a_command_whose_environment_hangs_with_a_line(command, number, said, tmp_path):
     spec = hostile.spec("init:hang", 1)
     spec["sweep"] = {"space": LEARNING_RATE}
     spec["transfer"] = {"variants": {name: {"environment.max_steps": steps} for name, steps in (("a", 5), ("b", 6))}}

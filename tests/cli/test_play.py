@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import shutil
 import sys
 import time
@@ -35,7 +33,7 @@ def episodes(told: str) -> list[str]:
     return [line for line in told.splitlines() if line.startswith("episode")]
 
 
-def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tmp_path: Path) -> None:
+def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec, tmp_path):
     film = tmp_path / "film.gif"
     size = ("--width", "64", "--height", "48")
     code, out, err = call(app, str(spec), "--expert", "--out", str(film), "--episodes", "2", *size)
@@ -48,7 +46,7 @@ def test_the_expert_of_a_spec_is_filmed_and_its_episodes_are_told(spec: Path, tm
     assert len(pictures) >= 7, "the arm moves"
 
 
-def test_a_film_that_cannot_be_written_is_refused_before_anything_is_played(spec: Path) -> None:
+def test_a_film_that_cannot_be_written_is_refused_before_anything_is_played(spec):
     for film in ("/sys/film.mp4", "/sys/film.gif"):  # even root may not make a file there
         with pytest.raises(MachineError, match=f"{film}: cannot be written"):
             write_video(Path(film), iter(lambda: pytest.fail("a picture was made"), None), 24)
@@ -56,9 +54,7 @@ def test_a_film_that_cannot_be_written_is_refused_before_anything_is_played(spec
         assert (code, err.count("\n")) == (3, 1)
 
 
-def test_a_film_has_one_episode_by_default_and_a_bar(
-    spec: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_film_has_one_episode_by_default_and_a_bar(spec, tmp_path, monkeypatch):
     screen = Terminal()
     monkeypatch.setattr(sys, "stderr", screen)
     monkeypatch.setenv("TERM", "xterm")
@@ -71,7 +67,7 @@ def test_a_film_has_one_episode_by_default_and_a_bar(
     assert film["duration"] == pytest.approx((7 + 17) / 24, abs=0.1), "the outcome stands for .7 s"
 
 
-def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
+def test_pictures_of_a_film_say_how_an_episode_goes():
     plain = np.full((240, 320, 3), 200, np.uint8)
     running = with_caption(plain, "episode 1", success=False, failed=False)
     assert (running[:40] != plain[:40]).any()
@@ -80,7 +76,7 @@ def test_pictures_of_a_film_say_how_an_episode_goes() -> None:
         assert with_caption(plain, "", success=success, failed=True)[0, 0].argmax() == strongest
 
 
-def test_small_objects_keep_their_colour_in_a_gif(tmp_path: Path) -> None:
+def test_small_objects_keep_their_colour_in_a_gif(tmp_path):
     pictures = [np.tile(np.arange(k, k + 240, dtype=np.uint8)[:, None, None], (1, 240, 3)) for k in range(16)]
     for place, picture in enumerate(pictures):
         picture[place : place + 4, :4] = (220, 30, 30)
@@ -97,14 +93,14 @@ def test_small_objects_keep_their_colour_in_a_gif(tmp_path: Path) -> None:
         (("--checkpoint", "worst"), "'worst'"),
     ],
 )
-def test_what_cannot_be_filmed_is_refused(spec: Path, arguments: tuple[str, ...], message: str) -> None:
+def test_what_cannot_be_filmed_is_refused(spec, arguments, message):
     defaults = () if "--out" in arguments else ("--out", str(spec.with_suffix(".gif")))
     code, _, err = call(app, str(spec), "--expert", *defaults, *arguments)
     assert code == 2
     assert message in err
 
 
-def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_shows_the_episodes_at_the_pace_of_control(spec, monkeypatch):
     """PyBullet connects without a window here, and tells what the window would show. MuJoCo has none: a film."""
     pybullet = pytest.importorskip("pybullet")
     connect, opened, cameras, pauses = pybullet.connect, [], [], []
@@ -129,7 +125,7 @@ def test_a_window_shows_the_episodes_at_the_pace_of_control(spec: Path, monkeypa
 TOY = toy(environment={"name": "toy", "max_steps": 7}, training={"steps": 40, "replay_ratio": 2})
 
 
-def test_a_run_is_filmed_for_tensorboard_too_and_without_a_best_checkpoint_its_last(tmp_path: Path) -> None:
+def test_a_run_is_filmed_for_tensorboard_too_and_without_a_best_checkpoint_its_last(tmp_path):
     folder = Path(Experiment(TOY).run(tmp_path / "runs").runs[0].folder)
     film = ("--out", str(tmp_path / "film.gif"), "--episodes", "1", "--width", "64", "--height", "48")
     code, _, err = call(app, str(folder), *film)
@@ -153,7 +149,7 @@ def test_a_run_is_filmed_for_tensorboard_too_and_without_a_best_checkpoint_its_l
     assert "there is no checkpoint 'best'" in err
 
 
-def test_modules_that_a_run_names_are_told_before_they_are_imported(tmp_path: Path) -> None:
+def test_modules_that_a_run_names_are_told_before_they_are_imported(tmp_path):
     with RunFolder.create(tmp_path, "evil", 0) as folder:
         folder.describe({"environment": {"name": "gymnasium", "id": "somebodys.module:X-v0"}}, experiment="x")
     code, _, err = call(app, str(folder.path), "--out", str(tmp_path / "film.gif"))
@@ -161,7 +157,7 @@ def test_modules_that_a_run_names_are_told_before_they_are_imported(tmp_path: Pa
     assert err.startswith(f"{folder.id} names code of this machine: somebodys.module will be imported\n")
 
 
-def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_policy_is_played_under_changed_settings(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     film = ("--width", "64", "--height", "48", "--out", "film.gif")
     lines = {}
@@ -181,7 +177,7 @@ def test_a_policy_is_played_under_changed_settings(tmp_path: Path, monkeypatch: 
         assert (code, told in err) == (2, True)
 
 
-def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     film = ("--width", "64", "--height", "48", "--out", "film.gif", "--failures")
     short = "task.max_steps=8"  # too few steps for the furthest goals

@@ -1,7 +1,5 @@
 """`karolos plugins list` and `karolos plugins show`."""
 
-from __future__ import annotations
-
 import json
 import sys
 
@@ -64,24 +62,3 @@ def test_show_tells_nested_settings_and_required_ones():
 
 def test_plugin_without_settings_says_so():
     assert "no settings" in call(app, "show", "buffer", "rollout")[1]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "code", "what"),
-    [
-        (("show", "robot", "amr"), 2, "did you mean 'arm'?"),
-        (("show", "robott", "arm"), 2, "no kind of plugin is called 'robott'"),
-        (("list", "robott"), 2, "did you mean 'robots'?"),
-    ],
-)
-def test_unknown_names_are_told_with_the_closest(arguments, code, what):
-    found, out, err = call(app, *arguments)
-    assert (found, out) == (code, "")
-    assert what in err
-
-
-def test_broken_plugin_is_told_when_it_is_shown(fake_plugins):
-    fake_plugins("robots", "broken", "no_such_module_anywhere:Robot", distribution="shaky")
-    code, _, err = call(app, "show", "robot", "broken")
-    assert code == 3
-    assert "shaky" in err

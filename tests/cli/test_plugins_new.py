@@ -1,7 +1,5 @@
 """`karolos plugins new`: its package works, is tested, and is the one that docs/ and examples/ show."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

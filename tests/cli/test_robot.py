@@ -1,7 +1,5 @@
 """`karolos robot`: an arm's file is checked, and scored with policies that never saw it."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 
@@ -23,9 +21,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, quick_proposals: None) 
     return exported_arm(tmp_path).model.urdf
 
 
-def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(
-    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm, tmp_path, monkeypatch):
     monkeypatch.setattr(robot_check, "cases", lambda *one, **how: cases(*one, **how)[:3])  # all take a minute
     arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"').replace("/meshes/", "/elsewhere/"))
     options = "--repair copy.urdf --no-promises --out arm.png --gripper robotiq_2f85"
@@ -42,7 +38,7 @@ def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(
     assert (code, broken) == (0, [])
 
 
-def test_a_score_names_success_and_causes_and_writes_a_page(arm: Path, tmp_path: Path) -> None:
+def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
     code, out, err = call(app, "score", str(arm), "--policies", "ur5_reach", "--episodes", "2", "--json")
     assert code == 0, err
     [row] = [json.loads(line) for line in out.splitlines()]
@@ -65,7 +61,7 @@ def test_a_score_names_success_and_causes_and_writes_a_page(arm: Path, tmp_path:
     assert call(app, "score")[0] == 2
 
 
-def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm: Path) -> None:
+def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm):
     text = arm.read_text().replace('"prismatic"', '"revolute"')
     arm.write_text(text)
     found = robot_score.score_policy(FOLDER / "ur5_pick", ["robot.name=urdf", f"robot.file={arm}"], 1)
@@ -74,16 +70,14 @@ def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm: Path) -> 
     assert "this robot has no gripper" in found.refused
 
 
-def test_policies_are_those_of_a_robot_or_one(arm: Path) -> None:
+def test_policies_are_those_of_a_robot_or_one(arm):
     assert robot_score.policies_of("iiwa") == [FOLDER / name for name in shipped_names() if name.startswith("iiwa_")]
     code, _, err = call(app, "score", str(arm), "--policies", "ur6")
     assert code == 2
     assert "did you mean 'ur5'" in err
 
 
-def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_is_named(
-    arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_is_named(arm, tmp_path, monkeypatch):
     monkeypatch.setattr(robot_score, "playing_processes", Here)
     broken = arm.with_name("broken.urdf")
     broken.write_text(arm.read_text().replace('effort="60"', 'effort="0"'))

@@ -1,7 +1,5 @@
 """`karolos spec`."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

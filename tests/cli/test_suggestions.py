@@ -1,7 +1,5 @@
 """A mistyped value is answered with the closest one that exists."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -13,13 +11,11 @@ from typer.testing import CliRunner
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
+def runs(runs: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setenv("COLUMNS", "200")
-    add_run(tmp_path, 0)
-    write_sweep(tmp_path, "grid", [some_trial(0)])
-    return tmp_path
+    add_run(runs, 0)
+    write_sweep(runs, "grid", [some_trial(0)])
+    return runs
 
 
 @pytest.mark.usefixtures("runs")
@@ -31,12 +27,16 @@ def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
         ("runs list agent.learning_rat=1", "did you mean agent.learning_rate?"),
         ("runs list --columns run,sucess_end", "did you mean 'success_end'?"),
         ("runs show reech", "did you mean 'reach'?"),
+        ("play panda_pik", "did you mean 'panda_pick', a shipped policy?"),
+        ("play nothing_like_it", "policies ship, e.g. panda_pick"),
         ("sweeps show gird", "did you mean 'grid'?"),
         ("inspect robot pnada", "did you mean 'panda'?"),
         ("plugins show robto panda", "did you mean 'robots'?"),
+        ("plugins show robot pnada", "did you mean 'panda'?"),
+        ("plugins list robto", "did you mean 'robots'?"),
     ],
 )
-def test_closest_value_is_suggested(command: str, suggestion: str) -> None:
+def test_closest_value_is_suggested(command, suggestion):
     code, out, err = call(app, *command.split())
     assert code == 2
     assert suggestion in err, err
@@ -60,7 +60,7 @@ def test_closest_value_is_suggested(command: str, suggestion: str) -> None:
         ("runs tag x go", "good"),
     ],
 )
-def test_tab_completes(runs: Path, monkeypatch: pytest.MonkeyPatch, words: str, found: str) -> None:
+def test_tab_completes(runs, monkeypatch, words, found):
     monkeypatch.chdir(runs)
     for path in (Path("my.yaml"), Path("my/other.yml")):
         path.parent.mkdir(exist_ok=True)

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 
@@ -18,18 +16,16 @@ from karolos.records.sweep_records import SweepFinal
 
 
 @pytest.fixture
-def runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+def runs(runs: Path) -> Path:
     """A runs folder with a sweep that came to its end, and one that was interrupted."""
-    monkeypatch.delenv("KAROLOS_DATABASE", raising=False)
-    monkeypatch.setenv("KAROLOS_RUNS", str(tmp_path))
     trials = [some_trial(0, value=0.9), some_trial(1, "failed"), some_trial(2, value=0.8)]
     final = SweepFinal(2, (1,), (2,), (0.8, 1000.0), {0: (0.6, 1500.0), 2: (0.7, 1200.0)}, (0.65, 1300.0))
-    write_sweep(tmp_path, "done", trials, final)
-    write_sweep(tmp_path, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
-    return tmp_path
+    write_sweep(runs, "done", trials, final)
+    write_sweep(runs, "half", [some_trial(0), some_trial(1, "running")], created="2026-01-02T00:00:00.000000Z")
+    return runs
 
 
-def test_list_says_how_far_sweeps_are_and_which_trial_is_best(runs: Path) -> None:
+def test_list_says_how_far_sweeps_are_and_which_trial_is_best(runs):
     found = call(app, "list").stdout.splitlines()
     assert found[0].split() == ["sweep", "state", "trials", "objective", "best", "trial", "settings"]
     assert found[1].split()[:6] == ["half-20260101-000000", "stopped", "1/3", "success_end", "0.5", "0"]
@@ -43,7 +39,7 @@ def test_list_says_how_far_sweeps_are_and_which_trial_is_best(runs: Path) -> Non
     lock.release()
 
 
-def test_show_tells_trials_and_how_far_to_trust_the_best(runs: Path) -> None:
+def test_show_tells_trials_and_how_far_to_trust_the_best(runs):
     told = call(app, "show", "done")
     lines = told.stdout.splitlines()
     assert "success_end_fresh" in lines[0]
@@ -56,11 +52,11 @@ def test_show_tells_trials_and_how_far_to_trust_the_best(runs: Path) -> None:
     assert (row["state"], row["final"]["chosen"], len(row["trials"])) == ("finished", 2, 3)
 
 
-def test_a_trial_that_nobody_works_on_is_open_and_not_running(runs: Path) -> None:
+def test_a_trial_that_nobody_works_on_is_open_and_not_running(runs):
     assert call(app, "show", "half").stdout.splitlines()[2].split()[:2] == ["1", "open"]
 
 
-def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path) -> None:
+def test_a_name_of_no_sweep_or_of_several_is_told(runs):
     with pytest.raises(UsageError, match="there is no sweep 'dome'; did you mean 'done'"):
         call(app, "show", "dome")
     shutil.copytree(runs / "sweeps" / "done", runs / "sweeps" / "copy")
@@ -68,12 +64,12 @@ def test_a_name_of_no_sweep_or_of_several_is_told(runs: Path) -> None:
         call(app, "show", "done")
 
 
-def test_without_sweeps_it_says_how_to_make_one(tmp_path: Path) -> None:
+def test_without_sweeps_it_says_how_to_make_one(tmp_path):
     told = call(app, "list", "--runs", tmp_path)
     assert (told.stdout, told.stderr) == ("", f"no sweeps in {tmp_path} yet; `karolos sweep SPEC` makes one\n")
 
 
-def test_a_damaged_sweep_is_named_and_the_others_are_listed(runs: Path) -> None:
+def test_a_damaged_sweep_is_named_and_the_others_are_listed(runs):
     (runs / "sweeps" / "half" / "sweep.json").write_text("{}")
     (runs / "sweeps" / "done" / "trials.jsonl").open("a").write('{"number":')
     damaged = "half: sweep.json is damaged; remove that file: `karolos sweep SPEC` writes it again"
@@ -88,7 +84,7 @@ def test_a_damaged_sweep_is_named_and_the_others_are_listed(runs: Path) -> None:
     assert [row["name"] for row in rows(app, "list")] == ["done"]
 
 
-def test_runs_of_trials_are_listed_on_request(runs: Path) -> None:
+def test_runs_of_trials_are_listed_on_request(runs):
     write_sweep(runs, "x", [some_trial(0)])
     plain, trial = add_run(runs, 0), add_run(runs, 0, name="x-t000")
     told = call(list_of_runs, "list", "--limit", 1)

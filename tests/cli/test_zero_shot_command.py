@@ -1,7 +1,5 @@
 """`karolos test` and `karolos export`: what they print, keep and refuse."""
 
-from __future__ import annotations
-
 import json
 import shutil
 from pathlib import Path
@@ -29,7 +27,7 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return run_of(toy(training={"steps": 40}, testing={"episodes": 4}), tmp_path_factory.mktemp("runs")).path.parent
 
 
-def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Path) -> None:
+def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs):
     arguments = ("@last", "environment.threshold=0.9", "--episodes", "5", "--seed", "3", "--runs", str(runs))
     code, out, err = call(policy_app, *arguments, "--json")
     assert code == 0, err
@@ -46,7 +44,7 @@ def test_a_row_has_the_overrides_and_both_successes_beside_the_runs_own(runs: Pa
     assert "unchanged" in out
 
 
-def test_what_was_tested_is_shown_with_the_run(runs: Path) -> None:
+def test_what_was_tested_is_shown_with_the_run(runs):
     call(policy_app, "@last", "environment.max_steps=7", "--runs", str(runs))
     _, out, _ = call(show_app, "@last", "--runs", str(runs))
     assert "tests under changed settings" in out
@@ -55,7 +53,7 @@ def test_what_was_tested_is_shown_with_the_run(runs: Path) -> None:
     assert row["transfers"][-1]["overrides"] == ["environment.max_steps=7"]
 
 
-def test_files_are_written_beside_the_run_or_where_they_are_asked_for(runs: Path, tmp_path: Path) -> None:
+def test_files_are_written_beside_the_run_or_where_they_are_asked_for(runs, tmp_path):
     code, out, err = call(export_app, "@last", "--no-onnx", "--runs", str(runs), "--json")
     assert code == 0, err
     row = json.loads(out)
@@ -67,7 +65,7 @@ def test_files_are_written_beside_the_run_or_where_they_are_asked_for(runs: Path
 
 
 @pytest.mark.parametrize("app", [policy_app, export_app])
-def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: Path) -> None:
+def test_checkpoints_and_runs_that_are_not_there_are_refused(app, runs):
     code, _, err = call(app, "@last", "--checkpoint", "worst", "--runs", str(runs))
     assert code == 2
     assert "'worst'" in err
@@ -77,7 +75,7 @@ def test_checkpoints_and_runs_that_are_not_there_are_refused(app: Typer, runs: P
 
 
 @pytest.mark.parametrize("app", [policy_app, export_app])
-def test_without_a_best_checkpoint_the_last_is_used_and_told(app: Typer, runs: Path, tmp_path: Path) -> None:
+def test_without_a_best_checkpoint_the_last_is_used_and_told(app, runs, tmp_path):
     (run,) = runs.glob("toy-*")
     folder = shutil.copytree(run, tmp_path / run.name)
     shutil.rmtree(folder / "checkpoints" / "best")  # as in a run that was stopped before its first test
@@ -88,7 +86,7 @@ def test_without_a_best_checkpoint_the_last_is_used_and_told(app: Typer, runs: P
     assert (code, "there is no checkpoint 'best'" in err) == (1, True)
 
 
-def test_a_policy_that_ships_is_its_last_and_says_so_if_best_is_asked_for(tmp_path: Path) -> None:
+def test_a_policy_that_ships_is_its_last_and_says_so_if_best_is_asked_for(tmp_path):
     arguments = ("panda_reach", "--no-onnx", "--out", str(tmp_path))
     for asked, told in (((), False), (("--checkpoint", "last"), False), (("--checkpoint", "best"), True)):
         code, out, err = call(export_app, *arguments, *asked, "--json")
@@ -102,6 +100,6 @@ def test_changes_are_for_bundles_alone(runs: Path) -> None:
 
 
 @pytest.mark.parametrize("option", [("--randomize",), ("--checkpoint", "last"), ("--checkpoint", "best")])
-def test_what_an_expert_does_not_have_is_refused(option: tuple[str, ...]) -> None:
+def test_what_an_expert_does_not_have_is_refused(option):
     code, _, err = call(policy_app, "panda_reach", "--expert", "--episodes", "1", *option)
     assert (code, f"--expert takes no {option[0]}" in err) == (2, True)

@@ -1,7 +1,5 @@
 """Tests under other settings, and measures episode by episode, reach the figures of a comparison."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -46,7 +44,7 @@ def of(value: float, successes: int, *, episodes: int = 20, setting: str = "task
     return replace(test, overrides=(f"{setting}={value}",), own=own, **about)
 
 
-def test_only_tests_that_belong_together_stand_in_one_line(read: Reads) -> None:
+def test_only_tests_that_belong_together_stand_in_one_line(read):
     both = {run: [of(0.01, 5), of(0.02, 10 + run)] for run in (0, 1)}
     probe = [of(0.03, 3, episodes=3), of(0.01, 0, checkpoint="last"), of(0.01, 0, seed=8)]
     again = [of(0.02, 20, sha256="of an earlier policy"), *both[0], of(0.04, 0, known=False)]
@@ -59,20 +57,20 @@ def test_only_tests_that_belong_together_stand_in_one_line(read: Reads) -> None:
     )
 
 
-def test_every_value_rests_on_the_same_runs(read: Reads) -> None:
+def test_every_value_rests_on_the_same_runs(read):
     both = [of(0.01, 5), of(0.02, 20), of(0.04, 20)]
     found = read({0: [of(0.01, 5)], 1: [*both, of(0.03, 20)], 2: both})
     assert {value: one.value for value, one in found.success.items()} == {0.01: 0.25, 0.02: 1.0, 0.04: 1.0, 0.05: 0.9}
     assert found.notes == ("2 of 3 runs were tested at each of these values.", "Not every run was tested at 0.03.")
 
 
-def test_a_parameter_of_the_world_is_shown_without_its_nominal_value(read: Reads) -> None:
+def test_a_parameter_of_the_world_is_shown_without_its_nominal_value(read):
     found = read({run: [of(-5, 10, setting="task.gravity")] for run in (0, 1, 2)})
     assert {value: one.value for value, one in found.success.items()} == {-5: 0.5}
     assert found.notes == ("Success at the nominal value, which the spec does not name, is left out.",)
 
 
-def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path: Path) -> None:
+def test_success_over_a_setting_and_the_spread_of_measures_are_drawn(tmp_path):
     folder = toys.run_of(toys.REACH, tmp_path)
     done = zero_shot_test(folder, ["task.threshold=0.2"], checkpoint="last", episodes=4)
     folder.add_transfer(replace(done, end=(True, True, True, False), successes_end=3))

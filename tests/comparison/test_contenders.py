@@ -1,7 +1,4 @@
-from __future__ import annotations
-
 from dataclasses import replace
-from typing import Any
 
 import pytest
 from support.compared_runs import SPEC, contender, run
@@ -12,7 +9,7 @@ from karolos.comparison.contenders import cautions, one_per_seed, repeated
 A = contender("a", [[50], [60]])
 
 
-def test_experiments_that_differ_in_nothing_else_need_no_warning() -> None:
+def test_experiments_that_differ_in_nothing_else_need_no_warning():
     other = SPEC | {"agent": {"name": "ppo"}}
     assert cautions([A, contender("b", [[50], [60]], spec=other)]) == ()
 
@@ -31,19 +28,19 @@ def test_experiments_that_differ_in_nothing_else_need_no_warning() -> None:
         ({"interval": 500}, "they ended at different steps: a 1,000; b 500"),
     ],
 )
-def test_what_differs_besides_the_spec_is_told(other: dict[str, Any], warning: str) -> None:
+def test_what_differs_besides_the_spec_is_told(other, warning):
     usual = {"versions": {"karolos": "1"}, "commit": "abc"}
     one, two = contender("a", [[50], [60]], **usual), contender("b", [[50], [60]], **usual | other)
     assert cautions([one, two]) == (warning,)
 
 
 @pytest.mark.parametrize("state", ["running", "stopped", "failed", "lost"])
-def test_runs_that_are_not_finished_are_named(state: str) -> None:
+def test_runs_that_are_not_finished_are_named(state):
     runs = (run(0, [50, 60]), run(1, [50, 60], state=state, steps=2500))
     assert cautions([Contender("a", runs)]) == (f"a: 1 of 2 runs are not finished: reach-s1 {state} at 2,500 steps",)
 
 
-def test_versions_count_where_they_are_known_and_that_of_an_engine_where_it_was_used() -> None:
+def test_versions_count_where_they_are_known_and_that_of_an_engine_where_it_was_used():
     assert cautions([contender("a", [[5]], versions={"karolos": "1"}), contender("b", [[5]])]) == ()
     spec = SPEC | {"environment": {"name": "robot_task", "engine": "bullet"}}
     one, two = (
@@ -57,12 +54,12 @@ def test_versions_count_where_they_are_known_and_that_of_an_engine_where_it_was_
     assert cautions([one, two]) == ("different versions of mujoco-core: a a; b b",)
 
 
-def test_unequal_numbers_of_seeds_are_told_in_every_row() -> None:
+def test_unequal_numbers_of_seeds_are_told_in_every_row():
     rows = compare([A, contender("b", [[50]])]).rows()
     assert [row["warnings"] for row in rows] == [["unequal numbers of seeds: a 2; b 1"]] * 2
 
 
-def test_runs_of_edited_plugins_are_not_averaged_with_later_ones_and_are_named() -> None:
+def test_runs_of_edited_plugins_are_not_averaged_with_later_ones_and_are_named():
     made = [("a", None), ("b", "old"), ("c", "new"), ("d", "new"), ("e", "old")]
     runs = [
         run(seed, [50], run=name, source=source, created=f"2026-01-0{min(seed, 2)}").summary

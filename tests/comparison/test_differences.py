@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -12,22 +10,22 @@ SPEC = st.dictionaries(KEY, LEAF | BLOCK, max_size=3)
 
 
 @given(SPEC)
-def test_spec_does_not_differ_from_itself(spec: dict[str, object]) -> None:
+def test_spec_does_not_differ_from_itself(spec):
     assert differences([spec, spec, spec]) == {}
 
 
 @given(SPEC, SPEC)
-def test_difference_is_the_same_from_both_sides(one: dict[str, object], other: dict[str, object]) -> None:
+def test_difference_is_the_same_from_both_sides(one, other):
     there, back = differences([one, other]), differences([other, one])
     assert {key: pair[::-1] for key, pair in there.items()} == back
     assert bool(there) == (one != other)
 
 
-def test_missing_key_is_told_from_null() -> None:
+def test_missing_key_is_told_from_null():
     assert differences([{"a": {"b": None, "c": 1}}, {"a": {"c": 1}}]) == {"a.b": (None, MISSING)}
 
 
-def test_each_key_of_a_block_that_a_side_lacks_is_a_row() -> None:
+def test_each_key_of_a_block_that_a_side_lacks_is_a_row():
     assert differences([{"robot": {"name": "ur5", "base": {"x": 0}}, "x": 1}, {"robot": None, "x": 1}]) == {
         "robot": (MISSING, None),
         "robot.name": ("ur5", MISSING),
@@ -39,7 +37,7 @@ def test_each_key_of_a_block_that_a_side_lacks_is_a_row() -> None:
     }
 
 
-def test_settings_of_another_plugin_are_rows_beside_those_of_the_same_part() -> None:
+def test_settings_of_another_plugin_are_rows_beside_those_of_the_same_part():
     one = {"agent": {"name": "sac", "rate": 1, "tau": 1}, "buffer": {"a": {"b": 1}}}
     other = {"agent": {"name": "ppo", "rate": 2, "clip": 1, "epochs": 3}, "buffer": {"a": {"b": 2}}}
     assert list(differences([one, other]).items()) == [
@@ -69,24 +67,13 @@ def found(one: Side, other: Side) -> list[tuple[object, ...]]:
     ]
 
 
-def test_runs_are_compared_by_seed_settings_versions_and_code() -> None:
-    one = side(spec={"seeds": [1], "steps": 1}, versions={"torch": "1"})
-    other = side(spec={"seeds": [2], "steps": 2}, versions={"torch": "2"}, seed=4, commit="def")
-    assert found(one, other) == [
-        ("run", "seed", 0, 4),
-        ("spec", "steps", 1, 2),
-        ("version", "torch", "1", "2"),
-        ("code", "commit", "abc", "def"),
-    ]
-
-
-def test_changed_files_are_compared_one_by_one() -> None:
+def test_changed_files_are_compared_one_by_one():
     assert found(side(patch=PATCH + MORE), side(patch=MORE)) == [("code", "x.py", "changed: +2 -1", MISSING)]
     assert found(side(patch=PATCH), side(patch=PATCH.replace("newer", "other"))) == [
         ("code", "x.py", "changed: +2 -1", "changed: +2 -1")
     ]
 
 
-def test_row_says_which_side_misses_a_key() -> None:
+def test_row_says_which_side_misses_a_key():
     [row] = compare_sides(side(spec={"a": None}), side("two"))
     assert row == {"part": "spec", "key": "a", "a": None, "b": None, "missing": "b"}

@@ -21,20 +21,20 @@ ratios = st.lists(st.floats(0, 1), min_size=1, max_size=20)
 
 
 @given(st.integers(1, 2000), st.floats(0, 1))
-def test_wilson_is_what_scipy_says(episodes: int, share: float) -> None:
+def test_wilson_is_what_scipy_says(episodes, share):
     successes = round(share * episodes)
     expected = stats.binomtest(successes, episodes).proportion_ci(method="wilson")
     assert wilson(successes, episodes) == pytest.approx((expected.low, expected.high), abs=1e-12)
 
 
 @pytest.mark.parametrize(("successes", "episodes"), [(1, 0), (-1, 5), (6, 5)])
-def test_wilson_of_nonsense_is_refused(successes: int, episodes: int) -> None:
+def test_wilson_of_nonsense_is_refused(successes, episodes):
     with pytest.raises(ValueError, match="successes"):
         wilson(successes, episodes)
 
 
 @given(ratios)
-def test_density_integrates_to_one_on_the_unit_interval(values: list[float]) -> None:
+def test_density_integrates_to_one_on_the_unit_interval(values):
     found = kde(values)
     assert found.grid[0] == 0
     assert found.grid[-1] == 1
@@ -46,14 +46,14 @@ def test_density_integrates_to_one_on_the_unit_interval(values: list[float]) -> 
 
 
 @given(ratios)
-def test_density_of_failures_mirrors_that_of_successes(values: list[float]) -> None:
+def test_density_of_failures_mirrors_that_of_successes(values):
     ours, theirs = kde(values), kde([1 - value for value in values])
     assert ours.density == pytest.approx(theirs.density[::-1], rel=1e-3, abs=1e-6)
     assert ours.low == pytest.approx(1 - theirs.high, abs=1e-3)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.5, 1.0])
-def test_equal_seeds_peak_at_their_value(value: float) -> None:
+def test_equal_seeds_peak_at_their_value(value):
     found = kde([value] * 5)
     assert found.mode == value
     assert found.modes == (value,)
@@ -64,14 +64,14 @@ def test_equal_seeds_peak_at_their_value(value: float) -> None:
 
 
 @pytest.mark.parametrize("seeds", [[0.0, 0.05, 0.95, 1.0, 1.0], [0.1] * 3 + [0.9] * 3])
-def test_bimodal_seeds_have_two_modes(seeds: list[float]) -> None:
+def test_bimodal_seeds_have_two_modes(seeds):
     found = kde(seeds)
     assert len(found.modes) == 2
     assert found.modes[0] < 0.3
     assert found.modes[1] > 0.7
 
 
-def test_density_of_many_values_approaches_theirs() -> None:
+def test_density_of_many_values_approaches_theirs():
     values = np.random.default_rng(0).beta(4, 3, 20_000)
     found = kde(values)
     inside = slice(5, -5)
@@ -80,14 +80,14 @@ def test_density_of_many_values_approaches_theirs() -> None:
     assert (found.low, found.high) == pytest.approx(stats.beta(4, 3).ppf([0.05, 0.95]), abs=0.02)
 
 
-def test_density_away_from_the_edges_is_scipys() -> None:
+def test_density_away_from_the_edges_is_scipys():
     values = np.array([0.42, 0.47, 0.5, 0.52, 0.58])
     found = kde(values)
     reference = stats.gaussian_kde(values, bw_method=found.bandwidth / values.std(ddof=1))
     assert found.density == pytest.approx(reference(found.grid), rel=1e-6, abs=1e-9)
 
 
-def test_bandwidth_is_silvermans_with_a_floor() -> None:
+def test_bandwidth_is_silvermans_with_a_floor():
     values = np.linspace(0.1, 0.9, 9)
     expected = 0.9 * min(values.std(ddof=1), 0.4 / 1.34) * 9**-0.2
     assert bandwidth(values) == pytest.approx(expected)
@@ -95,17 +95,17 @@ def test_bandwidth_is_silvermans_with_a_floor() -> None:
 
 
 @given(st.lists(st.floats(-5, 5), min_size=3, max_size=21).filter(lambda heights: len(heights) % 2 == 1))
-def test_integral_is_simpsons(heights: list[float]) -> None:
+def test_integral_is_simpsons(heights):
     assert integral(heights) == pytest.approx(simpson(heights, dx=1 / (len(heights) - 1)), abs=1e-9)
 
 
 @pytest.mark.parametrize("values", [[], [1.1], [-0.1], [float("nan")], [0.5, float("inf")]])
-def test_values_that_are_no_ratios_are_refused(values: list[float]) -> None:
+def test_values_that_are_no_ratios_are_refused(values):
     with pytest.raises(ValueError, match="between 0 and 1"):
         kde(values)
 
 
-def test_even_number_of_points_is_refused() -> None:
+def test_even_number_of_points_is_refused():
     with pytest.raises(ValueError, match="odd number"):
         integral([1, 2])
 
@@ -118,11 +118,11 @@ def generator(seed: int = 0) -> np.random.Generator:
 
 
 @given(st.lists(RATIO, min_size=1, max_size=23))
-def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values: list[float]) -> None:
+def test_inter_quartile_mean_is_the_trimmed_mean_of_scipy(values):
     assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
 
 
-def test_many_values_have_the_same_mean_and_interval_in_little_memory() -> None:
+def test_many_values_have_the_same_mean_and_interval_in_little_memory():
     values = generator().random(9_000)
     assert aggregates.iqm(values) == pytest.approx(stats.trim_mean(values, 0.25), abs=1e-12)
     assert np.isnan(aggregates.iqm(np.append(values, np.nan)))
@@ -134,13 +134,13 @@ def test_many_values_have_the_same_mean_and_interval_in_little_memory() -> None:
     tracemalloc.stop()
 
 
-def test_inter_quartile_mean_is_unknown_where_a_value_is() -> None:
+def test_inter_quartile_mean_is_unknown_where_a_value_is():
     found = aggregates.iqm([[0.1, 0.2, 0.3, 0.4], [0.1, np.nan, 0.3, 0.4]])
     assert found == pytest.approx([0.25, np.nan], nan_ok=True)
 
 
 @given(st.lists(RATIO, min_size=1, max_size=9), st.lists(RATIO, min_size=1, max_size=9))
-def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs: list[float]) -> None:
+def test_improvement_is_mann_whitney_u_over_all_pairs(ours, theirs):
     found = aggregates.improvement(ours, theirs)
     u = stats.mannwhitneyu(ours, theirs).statistic
     assert found == pytest.approx(u / (len(ours) * len(theirs)), abs=1e-12)
@@ -150,7 +150,7 @@ def test_improvement_is_mann_whitney_u_over_all_pairs(ours: list[float], theirs:
 @pytest.mark.parametrize(
     ("seeds", "worth"), [(1, "none"), (4, "none"), (5, "approximate"), (9, "approximate"), (10, "usual")]
 )
-def test_intervals_are_given_for_five_seeds_or_more(seeds: int, worth: str) -> None:
+def test_intervals_are_given_for_five_seeds_or_more(seeds, worth):
     values = np.linspace(0.2, 0.8, seeds)
     found = aggregates.paired_interval([values], aggregates.mean, generator())
     assert aggregates.reliability(seeds) == worth
@@ -158,7 +158,7 @@ def test_intervals_are_given_for_five_seeds_or_more(seeds: int, worth: str) -> N
     assert (aggregates.improvement_interval(values, values, generator()) is None) == (worth == "none")
 
 
-def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says() -> None:
+def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says():
     draw = generator(1)
     covered = 0
     for _ in range(200):
@@ -167,14 +167,14 @@ def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says
     assert 0.82 <= covered / 200 <= 0.97  # a percentile interval of ten values is a little narrow: .90 in theory
 
 
-def test_interval_is_the_same_for_the_same_generator() -> None:
+def test_interval_is_the_same_for_the_same_generator():
     values = [0.1, 0.5, 0.6, 0.7, 0.9]
     assert aggregates.paired_interval([values], aggregates.iqm, generator()) == aggregates.paired_interval(
         [values], aggregates.iqm, generator()
     )
 
 
-def test_profile_falls_from_all_to_none() -> None:
+def test_profile_falls_from_all_to_none():
     found = aggregates.profile([0.2, 0.5, 1.0], [0, 0.2, 0.21, 0.6, 1.0])
     assert found.tolist() == pytest.approx([1, 1, 2 / 3, 1 / 3, 1 / 3])
 
@@ -186,7 +186,7 @@ TABLE = {6: 0.857, 7: 0.807, 10: 0.753, 13: 0.690, 16: 0.627, 22: 0.538, 23: 0.4
 """The product-limit table of these, worked by hand: 18/21, times 16/17, 14/15, 11/12, 10/11, 6/7, 5/6."""
 
 
-def test_kaplan_meier_is_the_table_worked_by_hand() -> None:
+def test_kaplan_meier_is_the_table_worked_by_hand():
     shuffled = np.random.default_rng(0).permutation(len(WEEKS))
     times, remaining = kaplan_meier(np.array(WEEKS)[shuffled], np.array(RELAPSED)[shuffled])
     for week, fraction in TABLE.items():
@@ -194,7 +194,7 @@ def test_kaplan_meier_is_the_table_worked_by_hand() -> None:
     assert median_time(WEEKS, RELAPSED) == 23
 
 
-def test_kaplan_meier_is_that_of_scipy() -> None:
+def test_kaplan_meier_is_that_of_scipy():
     generator = np.random.default_rng(1)
     for size in (1, 2, 5, 40):
         times = generator.integers(1, 12, size).astype(float)
@@ -216,13 +216,13 @@ def test_kaplan_meier_is_that_of_scipy() -> None:
         ([2, 5, 7], [0, 1, 1], 6),
     ],
 )
-def test_median_of_runs_of_which_some_never_got_there(times: list[int], reached: list[int], median: float) -> None:
+def test_median_of_runs_of_which_some_never_got_there(times, reached, median):
     assert median_time(times, reached) == median
     stacked = median_time(np.tile(times, (4, 1)), np.tile(reached, (4, 1)))
     assert stacked.tolist() == [median] * 4
 
 
-def test_first_reaching_is_the_first_test_at_or_over_the_threshold() -> None:
+def test_first_reaching_is_the_first_test_at_or_over_the_threshold():
     assert first_reaching([0.1, 0.5, 0.4, 0.9], [10, 20, 30, 40], 0.5) == 20
     assert first_reaching([0.1, 0.4], [10, 20], 0.5) is None
 
@@ -231,18 +231,18 @@ def test_first_reaching_is_the_first_test_at_or_over_the_threshold() -> None:
     ("places", "median"),
     [([10, 30, None], 30), ([10, None, None], None), ([10, 20], 15), ([10, None], None), ([None], None), ([7], 7)],
 )
-def test_seeds_that_never_reach_a_threshold_count_last(places: list[float | None], median: float | None) -> None:
+def test_seeds_that_never_reach_a_threshold_count_last(places, median):
     assert median_reaching(places) == median
 
 
-def test_ratio_of_median_times_is_infinite_zero_or_unknown_where_they_are_infinite() -> None:
+def test_ratio_of_median_times_is_infinite_zero_or_unknown_where_they_are_infinite():
     assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 100, 300], [1, 1, 0]) == pytest.approx(0.2)
     assert median_time_ratio([10, 20, 30], [1, 1, 1], [100, 300, 300], [1, 0, 0]) == 0
     assert median_time_ratio([30, 30, 30], [0, 0, 0], [100, 100, 300], [1, 1, 0]) == np.inf
     assert np.isnan(median_time_ratio([30], [0], [100], [0]))
 
 
-def test_forward_transfer_is_that_of_continual_world() -> None:
+def test_forward_transfer_is_that_of_continual_world():
     """AUC_i is the mean success over the training steps of task i, by Riemann sums over a fine grid."""
     steps = np.array([0.0, 100.0, 200.0, 400.0])
     tuned, scratch = np.array([0.5, 0.9, 1.0, 1.0]), np.array([0.0, 0.1, 0.6, 0.8])
@@ -256,13 +256,13 @@ def test_forward_transfer_is_that_of_continual_world() -> None:
     assert np.isnan(forward_transfer([1.0], [1.0]))
 
 
-def test_area_is_cut_at_any_step_and_a_single_test_is_its_own_mean() -> None:
+def test_area_is_cut_at_any_step_and_a_single_test_is_its_own_mean():
     assert area_under_curve([100, 300], [0.2, 0.6], 200, 300) == pytest.approx(0.5)
     assert area_under_curve([100, 300], [0.2, 0.6], 100, 500) == pytest.approx((0.4 * 200 + 0.6 * 200) / 400)
     assert area_under_curve([100, 300], [0.2, 0.6], 300, 300) == 0.6
 
 
-def test_retention_is_a_ratio_of_means_over_paired_seeds() -> None:
+def test_retention_is_a_ratio_of_means_over_paired_seeds():
     assert ratio_of_means([0.9, 0.3], [1.0, 0.5]) == pytest.approx(1.2 / 1.5)
     assert np.isnan(ratio_of_means([0.1], [0.0]))
     assert ratio_of_means(np.ones((3, 2)), np.full((3, 2), 0.5)).tolist() == [2, 2, 2]

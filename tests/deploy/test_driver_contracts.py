@@ -1,7 +1,5 @@
 """The contracts of drivers find the drivers that break a promise."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Mapping
 from dataclasses import replace
@@ -131,13 +129,11 @@ def broken(driver: type[Driver], bundle: Path, monkeypatch: pytest.MonkeyPatch) 
     return ""
 
 
-def test_a_driver_that_keeps_every_promise_passes(whole: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_driver_that_keeps_every_promise_passes(whole, monkeypatch):
     assert not broken(Good, whole, monkeypatch)
 
 
 @pytest.mark.parametrize("driver", BROKEN, ids=lambda one: one.__name__)
-def test_a_broken_promise_is_named_in_a_line(
-    driver: type[Driver], whole: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_broken_promise_is_named_in_a_line(driver, whole, monkeypatch):
     found = broken(driver, whole, monkeypatch)
     assert any(line.startswith(BROKEN[driver]) for line in found.splitlines()), found

@@ -1,12 +1,9 @@
 """The executor: it stops for each fault with one line, sends nothing after it, and writes a log that replays."""
 
-from __future__ import annotations
-
 import json
 import signal
 import socket
 import threading
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +17,7 @@ pytestmark = pytest.mark.xdist_group("bundle")  # which a process makes once
 
 
 @pytest.mark.parametrize("fault", [*Obedient.failing, *Obedient.identities])
-def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards(
-    fault: str, whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards(fault, whole, monkeypatch, capsys):
     made: list[Obedient] = []
 
     def make(*given: Any) -> Obedient:
@@ -42,9 +37,7 @@ def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards
         assert not hasattr(made[0], "sent")
 
 
-def test_a_signal_stops_the_robot_with_one_line(
-    whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_signal_stops_the_robot_with_one_line(whole, monkeypatch, capsys):
     class Signalled(Obedient):
         def send(self, point: Any) -> None:
             super().send(point)
@@ -66,7 +59,7 @@ def test_a_signal_stops_the_robot_with_one_line(
 @pytest.mark.parametrize(
     ("answer", "kind"), [(b"", "connection lost"), (b'{"time": 1', "connection lost"), (b"{12\n", "half a packet")]
 )
-def test_a_connection_that_is_cut_or_says_half_a_packet_is_a_fault(answer: bytes, kind: str) -> None:
+def test_a_connection_that_is_cut_or_says_half_a_packet_is_a_fault(answer, kind):
     with socket.create_server(("127.0.0.1", 0)) as waiting:
 
         def serve() -> None:
@@ -86,9 +79,7 @@ def test_a_connection_that_is_cut_or_says_half_a_packet_is_a_fault(answer: bytes
 
 
 @pytest.mark.parametrize("name", ["policy.npz", "policy.yaml", "episode.npz", "golden.npz", "README.md", "SHA256SUMS"])
-def test_a_flipped_bit_is_refused_before_anything_moves(
-    name: str, bundle: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_flipped_bit_is_refused_before_anything_moves(name, bundle, capsys):
     data = bytearray((bundle / name).read_bytes())
     data[len(data) // 2] ^= 1
     (bundle / name).write_bytes(data)
@@ -98,7 +89,7 @@ def test_a_flipped_bit_is_refused_before_anything_moves(
     assert str(bundle) in line
 
 
-def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle, monkeypatch):
     golden = dict(np.load(bundle / "golden.npz"))
     np.savez(bundle / "golden.npz", **{**golden, "action": golden["action"] + 0.01})
     monkeypatch.setattr("karolos_deploy.bundle.check_sums", lambda _: None)
@@ -106,7 +97,7 @@ def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle: Path, monkeyp
         Bundle(bundle)
 
 
-def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole: Path, tmp_path: Path) -> None:
+def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole, tmp_path):
     loaded = Bundle(whole)
     driver = Obedient(loaded, {})
     executor = Executor(loaded, driver, rate=500, log=tmp_path / "log")
@@ -123,9 +114,7 @@ def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole: Path, tmp_p
     assert replay(loaded, tmp_path / "log")[1] > 1e-4
 
 
-def test_without_move_the_policy_acts_and_nothing_is_sent(
-    whole: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_without_move_the_policy_acts_and_nothing_is_sent(whole, monkeypatch, capsys):
     made: list[Obedient] = []
     monkeypatch.setattr(command, "find", lambda _: lambda *given: made.append(Obedient(*given)) or made[0])
     assert command.main([str(whole)]) == 0
@@ -136,7 +125,7 @@ def test_without_move_the_policy_acts_and_nothing_is_sent(
     assert len(lines) == 1 + command.SHOWN + 1
 
 
-def test_onnxruntime_acts_as_numpy_does(whole: Path) -> None:
+def test_onnxruntime_acts_as_numpy_does(whole):
     pytest.importorskip("onnxruntime")
     golden = np.load(whole / "golden.npz")
     found = Bundle(whole, onnx=True).policy(golden["observation"][0], golden["desired_goal"][0])
@@ -153,9 +142,7 @@ def test_onnxruntime_acts_as_numpy_does(whole: Path) -> None:
         (["--driver", "kuka"], "no driver is called 'kuka'"),
     ],
 )
-def test_wrong_options_are_refused_in_one_line(
-    arguments: list[str], why: str, whole: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_wrong_options_are_refused_in_one_line(arguments, why, whole, capsys):
     if "kuka" not in arguments:
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(command, "find", lambda _: Obedient)
@@ -166,7 +153,7 @@ def test_wrong_options_are_refused_in_one_line(
     assert why in line
 
 
-def test_a_simulated_robot_in_a_process_of_its_own_succeeds(whole: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_simulated_robot_in_a_process_of_its_own_succeeds(whole, capsys):
     change = "change=robot.latency=0.01 robot.jitter=0.002 robot.calibration_error=0.001 robot.observation_noise=0.0002"
     settings = ["clock=simulated", change]
     arguments = [part for one in settings for part in ("--set", one)]

@@ -4,8 +4,6 @@ It has no reflexes: that none would come is seen from what is asked of the joint
 tests need franky-control (`karolos-deploy[franka]`), and `franky-sim` on PATH, which may be of another environment.
 """
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from collections.abc import Iterator
@@ -84,7 +82,7 @@ class Acted(Franka):
 
 @pytest.mark.usefixtures("server")
 @pytest.mark.parametrize("name", ["panda_reach", "panda_pick"])
-def test_the_tool_keeps_to_the_commanded_way_within_5_mm_and_joints_to_their_limits(name: str, bundles: Path) -> None:
+def test_the_tool_keeps_to_the_commanded_way_within_5_mm_and_joints_to_their_limits(name, bundles):
     loaded = Bundle(bundles / name)
     logged = iter(loaded.episode()["action"])
     loaded.policy = lambda _observation, _goal: next(logged)
@@ -111,5 +109,5 @@ def test_the_tool_keeps_to_the_commanded_way_within_5_mm_and_joints_to_their_lim
         driver.close()
 
 
-def test_it_keeps_what_every_driver_promises(bundles: Path, server: subprocess.Popen[str]) -> None:
+def test_it_keeps_what_every_driver_promises(bundles, server):
     check("franka", bundles / "panda_reach", SETTINGS, lose=lambda _: server.kill())

@@ -1,7 +1,5 @@
 """Kinematics and control modes of karolos-deploy are those of karolos."""
 
-from __future__ import annotations
-
 from itertools import product
 from typing import Any
 
@@ -26,7 +24,7 @@ def environment(robot: str, mode: str) -> Any:
     return used(environment_of(load_spec("panda_reach", given)))
 
 
-def test_rotation_vectors_are_those_of_karolos() -> None:
+def test_rotation_vectors_are_those_of_karolos():
     generator = np.random.default_rng(0)
     for angle in (0.0, 1e-12, 1e-7, 0.3, 3.0, np.pi - 1e-7, np.pi):
         axis = generator.normal(size=3)
@@ -37,7 +35,7 @@ def test_rotation_vectors_are_those_of_karolos() -> None:
         np.testing.assert_allclose(np.abs(found), np.abs(rotation_vector(quaternion_of(turned_by(vector)))), atol=1e-6)
 
 
-def test_the_nearest_orientation_is_that_of_karolos() -> None:
+def test_the_nearest_orientation_is_that_of_karolos():
     generator = np.random.default_rng(1)
     for _ in range(200):
         middle = quaternion_of(turned_by(generator.normal(size=3)))
@@ -47,7 +45,7 @@ def test_the_nearest_orientation_is_that_of_karolos() -> None:
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_the_chain_of_the_contract_is_that_of_the_arm(robot: str) -> None:
+def test_the_chain_of_the_contract_is_that_of_the_arm(robot):
     with environment(robot, "cartesian") as world:
         arm = arm_of(world)
         chain: Chain = chain_of(describe_robot(world, robot))
@@ -65,7 +63,7 @@ def test_the_chain_of_the_contract_is_that_of_the_arm(robot: str) -> None:
 
 
 @pytest.mark.parametrize("case", [*product(ARMS, ("joint", "cartesian", "pose", "impedance"))], ids=" ".join)
-def test_set_points_lead_where_the_same_actions_lead_in_training(case: tuple[str, str]) -> None:
+def test_set_points_lead_where_the_same_actions_lead_in_training(case):
     robot, mode = case
     with environment(robot, mode) as world:
         world.reset(0)
@@ -92,7 +90,7 @@ def test_set_points_lead_where_the_same_actions_lead_in_training(case: tuple[str
         assert farthest < 0.006, "rad; the set points keep a limit of jerk that training does not have"
 
 
-def test_set_points_keep_the_limits_of_speed_acceleration_and_jerk() -> None:
+def test_set_points_keep_the_limits_of_speed_acceleration_and_jerk():
     with environment("panda", "joint") as world:
         world.reset(0)
         contract = describe_robot(world, "panda")

@@ -1,7 +1,5 @@
 """The logic of the ROS 2 example, without ROS."""
 
-from __future__ import annotations
-
 import runpy
 from pathlib import Path
 
@@ -13,7 +11,7 @@ pytestmark = pytest.mark.xdist_group("bundle")
 NODE = runpy.run_path(str(Path(__file__).parents[2] / "examples" / "ros2" / "policy_node.py"))
 
 
-def test_messages_become_the_actions_of_the_bundle_and_a_jump_stops_them(whole: Path) -> None:
+def test_messages_become_the_actions_of_the_bundle_and_a_jump_stops_them(whole):
     sent: list[list[float]] = []
     cell = NODE["Cell"](str(whole), [0.5, 0.1, 0.15], lambda positions, _: sent.append(positions))
     logged = Bundle(whole).episode()

@@ -1,7 +1,5 @@
 """The driver `ur` against a fake controller in a process of its own, through ur-rtde, which nobody here wrote."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -29,7 +27,7 @@ def camera(whole: Path) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("fault", ["protective stop", "emergency stop", "connection cut", "half a packet", "force"])
-def test_a_controller_that_fails_gets_no_further_set_point(fault: str, whole: Path, camera: str) -> None:
+def test_a_controller_that_fails_gets_no_further_set_point(fault, whole, camera):
     bundle, asked = Bundle(whole), Channel(camera)
     driver = UR(bundle, {"host": HOST, "perception": camera, "watchdog": "1"})
     executor = Executor(bundle, driver, rate=125)
@@ -59,7 +57,7 @@ def test_a_controller_that_fails_gets_no_further_set_point(fault: str, whole: Pa
     asked.close()
 
 
-def test_another_robot_and_another_payload_are_refused(whole: Path, camera: str) -> None:
+def test_another_robot_and_another_payload_are_refused(whole, camera):
     asked = Channel(camera)
     for fault in ("wrong payload", "wrong robot"):
         asked.ask(do="fault", kind=fault)

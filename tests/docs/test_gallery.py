@@ -6,17 +6,13 @@ import sys
 from functools import cache
 from pathlib import Path
 
-import pytest
-
 from karolos.records import RunFolder, paths
 from karolos.report.figures import Drawing
 
 SCRIPTS = Path(__file__).parents[2] / "docs" / "_scripts"
 
 
-def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(SCRIPTS)
     pages = runpy.run_path(str(SCRIPTS / "pages.py"))
     drawn = cache(lambda: drawing(*first))

@@ -70,7 +70,7 @@ def shrunk(words: list[str]) -> list[str]:
     """A karolos command at toy size."""
     if words[0] == "resume":
         return [re.sub(STEPS, "training.steps=80", word) for word in words]
-    if words[0] == "compare" and "figures" in words and "--figure" not in words:
+    if words[0] == "compare" and "--out" in words and "--figure" not in words:
         return [*words, "--figure", "steps"]  # tests/report draws all of them
     if words[0] != "run":
         short = ["task.max_steps=5"] if words[0] == "play" and not words[1].startswith("@") else []
@@ -114,7 +114,7 @@ def look_again() -> None:
     [page for page in PAGES if any(language in RUN and not reason for language, reason, _ in blocks(page))],
     ids=lambda page: page.stem,
 )
-def test_code_works_as_written(page: Path, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_code_works_as_written(page, folder, monkeypatch):
     names: dict[str, object] = {}
     for language, reason, text in blocks(page):
         if reason or language not in RUN:
@@ -158,7 +158,7 @@ def run(command: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_code_is_marked(page: Path) -> None:
+def test_code_is_marked(page):
     """Each block says its language. What is not run says why. Indented blocks say neither."""
     text = page.read_text(encoding="utf-8")
     assert len(BLOCK.findall(text)) * 2 == text.count("```"), "a block without a language"
@@ -167,7 +167,7 @@ def test_code_is_marked(page: Path) -> None:
     assert not re.search(r"(?:^|\n\n|^#.*\n)    (?:karolos|pip|ray|python) ", BLOCK.sub("", text), re.MULTILINE)
 
 
-def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm() -> None:
+def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm():
     first = next(text for language, _, text in blocks(ROOT / "README.md") if language == "sh")
     found = list(commands(first))
     assert found[1].startswith("karolos run ")
@@ -175,7 +175,7 @@ def test_a_newcomer_needs_at_most_three_commands_to_a_trained_arm() -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
-def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
+def test_commands_in_sentences_exist_with_their_options(page):
     for inline in re.findall(r"`karolos ([^`]+)`", BLOCK.sub("", page.read_text(encoding="utf-8"))):
         command, words = COMMANDS, inline.replace("|", " ").split()
         while words and words[0] in getattr(command, "commands", {}):
@@ -185,6 +185,6 @@ def test_commands_in_sentences_exist_with_their_options(page: Path) -> None:
         assert {word.strip("[]") for word in words if word.startswith(("-", "[-"))} <= known | {"--help"}, inline
 
 
-def test_links_of_the_readme_lead_somewhere() -> None:
+def test_links_of_the_readme_lead_somewhere():
     for link in re.findall(r"\]\(([^)#]+)", (ROOT / "README.md").read_text(encoding="utf-8")):
         assert (ROOT / link).exists(), link

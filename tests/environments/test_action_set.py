@@ -1,7 +1,5 @@
 """The discrete action set of robots: its labels, what they do, and what stays as it was asked for."""
 
-from typing import Any
-
 import gymnasium
 import numpy as np
 import pytest
@@ -27,7 +25,7 @@ def picking() -> RobotTask:
     return discrete("pick_place")
 
 
-def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing() -> None:
+def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing():
     labels = ActionSet(CARTESIAN).actions.labels
     axes = ("tool_position_change x", "tool_position_change y", "tool_position_change z", "gripper_opening")
     assert labels == (*(f"{axis} {sign}" for axis in axes for sign in "+-"), "nothing")
@@ -36,14 +34,14 @@ def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing() -> 
     assert joints[:3] == ("joint_changes 1 +", "joint_changes 1 -", "joint_changes 2 +")
 
 
-def test_every_action_but_those_of_the_gripper_moves_one_axis_by_one_full_step() -> None:
+def test_every_action_but_those_of_the_gripper_moves_one_axis_by_one_full_step():
     actions = ActionSet(Layout((Field("tool_position_change", 3), Field("yaw_change", 1))))
     found = np.array([actions.values(index) for index in range(len(actions.actions.labels))])
     steps = np.kron(np.eye(4), [[1], [-1]])
     np.testing.assert_array_equal(found, np.vstack([steps, np.zeros(4)]))
 
 
-def test_the_opening_stays_as_it_was_asked_for_last() -> None:
+def test_the_opening_stays_as_it_was_asked_for_last():
     actions = ActionSet(CARTESIAN)
     actions.reset(1.0)
     asked = [actions.values(index)[3] for index in (NOTHING, X_UP, CLOSE, NOTHING, Y_DOWN, OPEN, X_UP)]
@@ -52,7 +50,7 @@ def test_the_opening_stays_as_it_was_asked_for_last() -> None:
     assert actions.values(NOTHING) == [0, 0, 0, -0.5]
 
 
-def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(picking: RobotTask) -> None:
+def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(picking):
     def away(seed: int) -> float:
         return float(np.linalg.norm(picking.reset(seed).achieved_goal - picking.robot.tool_position))
 
@@ -70,7 +68,7 @@ def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(
     assert picking.robot.opening > 0.9
 
 
-def test_a_discrete_action_is_the_continuous_one_that_it_stands_for() -> None:
+def test_a_discrete_action_is_the_continuous_one_that_it_stands_for():
     one, other = discrete(), made("reach")
     one.reset(3)
     other.reset(3)
@@ -80,7 +78,7 @@ def test_a_discrete_action_is_the_continuous_one_that_it_stands_for() -> None:
 
 
 @pytest.mark.parametrize("action", [-1, 7, 0.5, np.nan, [0, 1], [0.0, 0.0, 0.0]])
-def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(action: Any) -> None:
+def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(action):
     environment = discrete()
     environment.reset(0)
     with pytest.raises(ValueError, match="PandaReach: an action is a number from 0 to 6"):
@@ -88,17 +86,17 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(ac
     assert np.isfinite(environment.step(np.array(6)).observation).all()
 
 
-def test_an_index_is_found_in_any_form_it_travels_in() -> None:
+def test_an_index_is_found_in_any_form_it_travels_in():
     actions = Discrete(("a", "b", "c"))
     assert [action_index(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
 
 
-def test_gymnasium_has_the_set_as_a_discrete_space() -> None:
+def test_gymnasium_has_the_set_as_a_discrete_space():
     environment = gymnasium.make("karolos.gym:karolos/PandaPickPlace-v2", actions="discrete")
     assert environment.action_space == gymnasium.spaces.Discrete(9)
 
 
-def test_an_expert_is_refused_where_actions_are_discrete() -> None:
+def test_an_expert_is_refused_where_actions_are_discrete():
     environment = {"name": "robot_task", "actions": "discrete"}
     spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "dqn", "environment": environment})
     told = r"environment\.actions.*discrete ones.*environment\.actions=continuous"

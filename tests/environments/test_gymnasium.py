@@ -1,7 +1,6 @@
 """An environment of gymnasium's as one of karolos's."""
 
 import pickle
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -30,7 +29,7 @@ def play(environment: Gymnasium, seed: int, action: list[float]) -> list[Any]:
     return steps
 
 
-def test_discrete_actions_become_labels_and_the_pole_falls() -> None:
+def test_discrete_actions_become_labels_and_the_pole_falls():
     environment = make(id="CartPole-v1")
     assert environment.signature.action == Discrete(("0", "1"))
     steps = play(environment, 1, [1])
@@ -43,7 +42,7 @@ def test_discrete_actions_become_labels_and_the_pole_falls() -> None:
         environment.step(np.array([2.0]))
 
 
-def test_box_actions_are_rescaled() -> None:
+def test_box_actions_are_rescaled():
     environment = make(id="Pendulum-v1")
     assert environment._converted(np.array([1.0]))[0] == 2.0
     assert environment._converted(np.array([-0.5]))[0] == -1.0
@@ -51,7 +50,7 @@ def test_box_actions_are_rescaled() -> None:
         environment.step(np.array([np.nan]))
 
 
-def test_measures_are_numbers_of_the_last_info() -> None:
+def test_measures_are_numbers_of_the_last_info():
     measures = {"is_success": {"better": "larger"}, "force": {"unit": "N", "better": "smaller"}}
     environment = make(id=POINT, goals=True, measures=measures)
     assert [one.unit for one in environment.signature.measures] == ["1", "N"]
@@ -62,14 +61,14 @@ def test_measures_are_numbers_of_the_last_info() -> None:
         environment.measures()
 
 
-def test_own_limit_of_steps_truncates() -> None:
+def test_own_limit_of_steps_truncates():
     assert make(id="support.faulty_environments:Limited-v0").signature.max_steps == 4
     steps = play(make(id="Pendulum-v1", max_steps=7), 0, [0.0])
     assert len(steps) == 8
     assert steps[-1].truncated
 
 
-def test_a_step_that_diverges_has_no_reward_and_repeats_the_state_before(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_step_that_diverges_has_no_reward_and_repeats_the_state_before(monkeypatch):
     environment = make(id="Pendulum-v1")
     environment.reset(0)
     before = environment.step(np.zeros(1, np.float32))
@@ -83,7 +82,7 @@ def test_a_step_that_diverges_has_no_reward_and_repeats_the_state_before(monkeyp
 
 
 @pytest.mark.parametrize(("threshold", "success"), [(5.0, True), (500.0, False)])
-def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None:
+def test_success_is_a_return_at_the_end(threshold, success):
     steps = play(make(id="CartPole-v1", success_return=threshold), 1, [1])
     assert bool(steps[-1].success) is success
     assert not any(step.success for step in steps[:-1])
@@ -108,14 +107,14 @@ def test_success_is_a_return_at_the_end(threshold: float, success: bool) -> None
         ({"id": "support.faulty_environments:Limited-v0", "max_steps": 11}, "environment.max_steps"),
     ],
 )
-def test_what_cannot_work_is_one_clear_line_about_a_setting(settings: dict[str, Any], where: str) -> None:
+def test_what_cannot_work_is_one_clear_line_about_a_setting(settings, where):
     with pytest.raises(KarolosError) as caught:
         make(**settings)
     assert caught.value.setting == where
     assert "\n" not in str(caught.value)
 
 
-def test_goals_may_be_taken_as_observations() -> None:
+def test_goals_may_be_taken_as_observations():
     environment = make(id="karolos.gym:karolos/PandaReach-v1", flatten_goals=True)
     assert environment.signature.max_steps == 50
     assert set(environment.signature.observation.names) == {"achieved_goal", "desired_goal", "observation"}
@@ -133,7 +132,7 @@ GOAL_ENVIRONMENTS = [
 
 
 @pytest.mark.parametrize("settings", GOAL_ENVIRONMENTS, ids=str)
-def test_hindsight_relabels_the_goals_of_anybodys_environment(settings: dict[str, Any]) -> None:
+def test_hindsight_relabels_the_goals_of_anybodys_environment(settings):
     environment = make(**settings, goals=True)
     signature = environment.signature
     buffer = Uniform(
@@ -174,13 +173,13 @@ def test_hindsight_relabels_the_goals_of_anybodys_environment(settings: dict[str
 
 
 @pytest.mark.parametrize("settings", GOAL_ENVIRONMENTS, ids=str)
-def test_anybodys_goal_environment_keeps_the_promises_of_an_environment(settings: dict[str, Any]) -> None:
+def test_anybodys_goal_environment_keeps_the_promises_of_an_environment(settings):
     if "karolos" not in settings["id"]:  # may begin at its goal
         settings = {**settings, "kwargs": {**settings.get("kwargs", {}), "apart": True}}
     check("environments", "gymnasium", **settings, goals=True)
 
 
-def test_a_goal_rule_goes_to_other_processes_without_its_environment() -> None:
+def test_a_goal_rule_goes_to_other_processes_without_its_environment():
     environment = make(id=POINT, goals=True)
     rule = pickle.loads(pickle.dumps(environment.signature.goal_rule))
     achieved = np.zeros((2, 3, 2), np.float32)
@@ -191,7 +190,7 @@ def test_a_goal_rule_goes_to_other_processes_without_its_environment() -> None:
 
 
 @pytest.mark.parametrize(("ends", "said"), [(True, None), (False, True)])
-def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends: bool, said: bool | None) -> None:
+def test_whether_a_goal_ends_an_episode_is_said_or_refused(ends, said):
     environment = make(id=POINT, goals=True, kwargs={"ends": ends}, goal_terminates=said)
 
     def go_to_the_goal() -> None:
@@ -210,7 +209,7 @@ class Pictures(gymnasium.Env[Any, Any]):
     action_space = gymnasium.spaces.Discrete(2)
 
 
-def test_pictures_are_refused_and_not_flattened() -> None:
+def test_pictures_are_refused_and_not_flattened():
     gymnasium.register("Pictures-v0", Pictures, max_episode_steps=3)
     with pytest.raises(UsageError, match="are pictures, and karolos's networks have no convolutions") as caught:
         make(id="Pictures-v0")
@@ -218,12 +217,12 @@ def test_pictures_are_refused_and_not_flattened() -> None:
 
 
 @pytest.mark.parametrize("name", ["a:b:X", ":X", "x:", ""])
-def test_an_id_has_at_most_one_module(name: str) -> None:
+def test_an_id_has_at_most_one_module(name):
     with pytest.raises(ValueError, match="id"):
         Gymnasium.Settings(id=name)
 
 
-def test_settings_that_exclude_each_other_are_refused() -> None:
+def test_settings_that_exclude_each_other_are_refused():
     for settings in (
         {"goals": True, "flatten_goals": True},
         {"goals": True, "success_return": 1},
@@ -235,9 +234,7 @@ def test_settings_that_exclude_each_other_are_refused() -> None:
 
 
 @pytest.mark.parametrize("module", ["runs.a-s0-1.evil", "runs.a-s0-1", "runs.evil", "a-s0-1.evil", "named.evil", "own"])
-def test_a_module_in_a_folder_of_runs_is_not_imported(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, module: str
-) -> None:
+def test_a_module_in_a_folder_of_runs_is_not_imported(tmp_path, monkeypatch, module):
     run = tmp_path / "runs" / "a-s0-1"
     run.mkdir(parents=True)
     (run / "run.json").touch()

@@ -23,12 +23,12 @@ SHOWN = [name for name in IDS if name.startswith("karolos/Panda") or name.endswi
 """Each task with one robot, and each robot with one task."""
 
 
-def test_every_pair_of_the_registry_has_an_id() -> None:
+def test_every_pair_of_the_registry_has_an_id():
     assert {"karolos/PandaReach-v1", "karolos/PandaPush-v2"} <= set(IDS)
     assert set(IDS) <= set(gymnasium.registry)
 
 
-def test_an_id_whose_episodes_became_longer_stays_and_gymnasium_says_that_there_is_a_newer_one() -> None:
+def test_an_id_whose_episodes_became_longer_stays_and_gymnasium_says_that_there_is_a_newer_one():
     with pytest.warns(DeprecationWarning, match="PandaPush-v1 is out of date.*upgrading to version `v2`"):
         older = gymnasium.make("karolos/PandaPush-v1")
     steps = [one.spec.max_episode_steps for one in (older, gymnasium.make("karolos/PandaPush-v2"))]
@@ -36,14 +36,14 @@ def test_an_id_whose_episodes_became_longer_stays_and_gymnasium_says_that_there_
 
 
 @pytest.mark.parametrize("name", ["karolos/PandaPush-v2", "karolos/PandaPickPlace-v2"])
-def test_the_expert_solves_what_was_too_short_for_it(name: str) -> None:
+def test_the_expert_solves_what_was_too_short_for_it(name):
     environment = gymnasium.make(name).unwrapped._environment
     assert evaluate(environment, expert_policy(environment), episodes=24, seed=0).success_end == 1
     environment.close()
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_environment_passes_gymnasiums_own_check(name: str) -> None:
+def test_environment_passes_gymnasiums_own_check(name):
     environment = gymnasium.make(name).unwrapped
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -58,14 +58,14 @@ def goal_env(**environment: object) -> GoalEnv:
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")  # unbounded observations, no id
-def test_an_environment_without_a_robot_passes_the_check_too_if_it_has_goals() -> None:
+def test_an_environment_without_a_robot_passes_the_check_too_if_it_has_goals():
     check_env(goal_env(name="bit_flip", bits=6))
     with pytest.raises(UsageError, match="no goals"):
         goal_env(name="gymnasium", id="CartPole-v1", reward_range=[0, 1])
 
 
 @pytest.mark.parametrize("name", SHOWN)
-def test_rewards_and_ends_are_those_of_the_goals_one_by_one_and_together(name: str) -> None:
+def test_rewards_and_ends_are_those_of_the_goals_one_by_one_and_together(name):
     environment = gymnasium.make(name).unwrapped
     environment.reset(seed=3)
     environment.action_space.seed(0)
@@ -90,13 +90,13 @@ def test_rewards_and_ends_are_those_of_the_goals_one_by_one_and_together(name: s
     environment.close()
 
 
-def test_the_spec_says_how_many_steps_an_episode_has() -> None:
+def test_the_spec_says_how_many_steps_an_episode_has():
     environment = gymnasium.make("karolos/PandaReach-v1", max_steps=7)
     assert environment.spec.max_episode_steps == environment.unwrapped.spec.max_episode_steps == 7
     assert gymnasium.make(environment.spec).spec.max_episode_steps == 7
 
 
-def test_a_limit_of_steps_from_outside_holds_or_is_refused() -> None:
+def test_a_limit_of_steps_from_outside_holds_or_is_refused():
     shorter = gymnasium.make("karolos/PandaReach-v1", max_episode_steps=2)
     shorter.reset(seed=0)
     assert [shorter.step(shorter.action_space.sample())[3] for _ in range(2)] == [False, True]
@@ -106,12 +106,12 @@ def test_a_limit_of_steps_from_outside_holds_or_is_refused() -> None:
             environment.reset()
 
 
-def test_a_film_has_the_control_rate() -> None:
+def test_a_film_has_the_control_rate():
     assert gymnasium.make("karolos/PandaReach-v1").metadata["render_fps"] == 24
     assert gymnasium.make("karolos/PandaReach-v1", substeps=5).metadata["render_fps"] == 48
 
 
-def test_a_window_is_offered_by_the_engine_that_has_one(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_is_offered_by_the_engine_that_has_one(monkeypatch):
     monkeypatch.setitem(RobotTaskEnv.metadata, "render_modes", ["human", "rgb_array"])
     for engine in ENGINES:
         modes = RobotTaskEnv("panda", "reach", engine=engine).metadata["render_modes"]
@@ -119,7 +119,7 @@ def test_a_window_is_offered_by_the_engine_that_has_one(monkeypatch: pytest.Monk
 
 
 @pytest.mark.parametrize("imports", ["gymnasium, karolos.gym", "karolos.gym, gymnasium", "gymnasium"])
-def test_registering_needs_no_order_of_imports_and_imports_no_physics(imports: str) -> None:
+def test_registering_needs_no_order_of_imports_and_imports_no_physics(imports):
     module = "" if "karolos" in imports else "karolos.gym:"
     code = (
         f"import sys, {imports}\n"
@@ -141,12 +141,12 @@ def test_registering_needs_no_order_of_imports_and_imports_no_physics(imports: s
     ],
 )
 @pytest.mark.filterwarnings("ignore:.*render_mode")
-def test_setting_that_makes_no_sense_is_named(settings: dict[str, object], message: str) -> None:
+def test_setting_that_makes_no_sense_is_named(settings, message):
     with pytest.raises(UsageError, match=message):
         gymnasium.make("karolos/PandaReach-v1", **settings)
 
 
-def test_seed_begins_one_episode_and_what_follows_it_hangs_on_it() -> None:
+def test_seed_begins_one_episode_and_what_follows_it_hangs_on_it():
     environment = gymnasium.make("karolos/PandaReach-v1").unwrapped
     goals = [environment.reset(seed=4)[0]["desired_goal"], environment.reset()[0]["desired_goal"]]
     again = [environment.reset(seed=4)[0]["desired_goal"], environment.reset()[0]["desired_goal"]]
@@ -155,7 +155,7 @@ def test_seed_begins_one_episode_and_what_follows_it_hangs_on_it() -> None:
     environment.close()
 
 
-def test_stable_baselines_learns_from_hindsight_without_an_adapter() -> None:
+def test_stable_baselines_learns_from_hindsight_without_an_adapter():
     baselines = pytest.importorskip("stable_baselines3")
     environment = gymnasium.make("karolos/PandaReach-v1")
     agent = baselines.SAC(

@@ -22,7 +22,7 @@ def wrong(step: Step) -> list[int]:
 
 
 @given(bits=st.integers(1, 20), seed=seeds)
-def test_flipping_what_is_wrong_reaches_the_goal_and_ends_the_episode(bits: int, seed: int) -> None:
+def test_flipping_what_is_wrong_reaches_the_goal_and_ends_the_episode(bits, seed):
     environment = made(bits)
     step = environment.reset(seed)
     assert (step.reward, step.terminated, step.truncated, step.success) == (0, False, False, False)
@@ -40,7 +40,7 @@ def test_flipping_what_is_wrong_reaches_the_goal_and_ends_the_episode(bits: int,
 
 
 @given(bits=st.integers(2, 20), seed=seeds)
-def test_time_is_up_after_as_many_steps_as_there_are_bits(bits: int, seed: int) -> None:
+def test_time_is_up_after_as_many_steps_as_there_are_bits(bits, seed):
     environment = made(bits)
     step = environment.reset(seed)
     bit = next(bit for bit in range(bits) if wrong(step) != [bit])
@@ -55,7 +55,7 @@ def test_time_is_up_after_as_many_steps_as_there_are_bits(bits: int, seed: int) 
         environment.step(np.array(0))
 
 
-def test_bits_and_goals_are_drawn_evenly_and_never_equal() -> None:
+def test_bits_and_goals_are_drawn_evenly_and_never_equal():
     environment = made(2)
     starts = [environment.reset(seed) for seed in range(1200)]
     pairs = {}
@@ -67,7 +67,7 @@ def test_bits_and_goals_are_drawn_evenly_and_never_equal() -> None:
 
 
 @pytest.mark.parametrize("environment", [made(2), Toy(Toy.Settings(threshold=0.5))])
-def test_goal_rule_works_over_leading_axes(environment: BitFlip | Toy) -> None:
+def test_goal_rule_works_over_leading_axes(environment):
     rule = environment.signature.goal_rule
     assert rule is not None
     achieved, desired = np.zeros((2, 3, 2), np.float32), np.zeros((2, 3, 2), np.float32)
@@ -81,14 +81,14 @@ def test_goal_rule_works_over_leading_axes(environment: BitFlip | Toy) -> None:
 
 
 @pytest.mark.parametrize("action", [6, -1, 0.5, [0, 1]])
-def test_a_bit_that_is_not_there_is_refused_by_name(action: object) -> None:
+def test_a_bit_that_is_not_there_is_refused_by_name(action):
     environment = made()
     environment.reset(0)
     with pytest.raises(ValueError, match="BitFlip: an action is a number from 0 to 5"):
         environment.step(np.array(action))
 
 
-def test_picture_shows_which_bits_are_wrong() -> None:
+def test_picture_shows_which_bits_are_wrong():
     environment = made()
     step = environment.reset(0)
     picture = environment.render(120, 40)

@@ -17,7 +17,7 @@ def build(drawn: dict[str, Part], task: str = "push", **how: Any) -> Environment
     return built(recipe(task, "ur5", draws=drawn, **how))
 
 
-def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
+def test_each_value_is_drawn_recorded_and_follows_from_the_seed():
     made = build({"task.object_size": values(*SIZES), "task.object_mass": values(0.2)})
     assert isinstance(made, VariedRobotTask)
     assert made.signature.parameters.names == ("task.object_mass", "task.object_size")
@@ -35,7 +35,7 @@ def test_each_value_is_drawn_recorded_and_follows_from_the_seed() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) -> None:
+def test_an_episode_is_that_of_the_environment_with_this_setting(engine):
     made = build({"robot.finger_opening": values(0.0, 0.5)}, environment={"engine": engine})
     alone = {
         opening: build({}, environment={"engine": engine}, arm={"finger_opening": opening}) for opening in (0.0, 0.5)
@@ -58,7 +58,7 @@ def test_an_episode_is_that_of_the_environment_with_this_setting(engine: str) ->
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize(("opening", "pushed"), [(0.0, False), (0.5, True)])
-def test_open_fingers_reach_further(engine: str, opening: float, *, pushed: bool) -> None:
+def test_open_fingers_reach_further(engine, opening, *, pushed):
     made = build({}, environment={"engine": engine}, arm={"finger_opening": opening})
     assert isinstance(made, RobotTask)
     made.reset(0)
@@ -72,7 +72,7 @@ def test_open_fingers_reach_further(engine: str, opening: float, *, pushed: bool
     assert moved == pushed
 
 
-def test_the_expert_is_that_of_the_episode() -> None:
+def test_the_expert_is_that_of_the_episode():
     made = build({"task.object_size": values(0.04, 0.05)})
     assert isinstance(made, VariedRobotTask)
     successes = 0
@@ -85,7 +85,7 @@ def test_the_expert_is_that_of_the_episode() -> None:
     assert successes >= 5
 
 
-def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
+def test_a_parameter_that_is_a_setting_too_needs_no_other_world():
     made = build({"task.start_near": values(0.0, 1.0)})
     assert isinstance(made, RobotTask)
     recorded = set()
@@ -115,11 +115,11 @@ def test_a_parameter_that_is_a_setting_too_needs_no_other_world() -> None:
         ({"task.object_colour": values(1)}, "no parameter is called 'task.object_colour'"),
     ],
 )
-def test_what_cannot_be_drawn_is_refused(drawn: dict[str, Part], message: str) -> None:
+def test_what_cannot_be_drawn_is_refused(drawn, message):
     with pytest.raises(UsageError, match=message):
         build(drawn)
 
 
-def test_fingers_that_the_task_moves_cannot_be_held_open() -> None:
+def test_fingers_that_the_task_moves_cannot_be_held_open():
     with pytest.raises(UsageError, match=r"robot\.finger_opening: the task moves the gripper"):
         build({}, task="pick_place", arm={"finger_opening": 0.5})

@@ -1,7 +1,5 @@
 """Playing a policy: the test episodes moment by moment, and their results."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -61,7 +59,7 @@ def test_success_is_counted_at_some_step_and_at_the_end():
     assert (found.reset, found.lengths) == ((False, False, False, True), (4, 4, 4, 1))
 
 
-def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
+def test_failures_are_the_episodes_that_do_not_succeed_at_their_end():
     marks = ["..x", ".x.", ".x.", ".x", "....", "....", ".."]  # a failure is played twice
     played = list(play_failures(Scripted(marks), STILL, episodes=2, seed=0))
     assert [(moment.episode, moment.step) for moment in played] == [(1, 0), (1, 1), (1, 2), *((3, n) for n in range(4))]
@@ -69,7 +67,7 @@ def test_failures_are_the_episodes_that_do_not_succeed_at_their_end() -> None:
         list(play_failures(Scripted(["..x", ".x"]), STILL, episodes=2, seed=0, among=2))
 
 
-def test_the_same_seed_gives_the_same_evaluation() -> None:
+def test_the_same_seed_gives_the_same_evaluation():
     def found(seed: int) -> Evaluation:
         environment = Toy(Toy.Settings())
         return evaluate(environment, random_policy(environment, seed), episodes=60, seed=seed)

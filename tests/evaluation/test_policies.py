@@ -1,9 +1,6 @@
 """Policies: saved agents with their environments, experts and random actions; what cannot be had is refused."""
 
-from __future__ import annotations
-
 import warnings
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -14,10 +11,9 @@ from support.toy_runs import toy
 
 import karolos
 from karolos.core import Array
-from karolos.core.seeding import SeedTree
 from karolos.environments.gymnasium.export import GoalEnv
 from karolos.environments.toy import Toy
-from karolos.errors import MachineError, NoSuchRunError, RunError, SpecError, UsageError
+from karolos.errors import MachineError, NoSuchRunError, SpecError, UsageError
 from karolos.evaluation.playing import load_expert, load_player, play
 from karolos.evaluation.policies import (
     SavedAgent,
@@ -25,14 +21,12 @@ from karolos.evaluation.policies import (
     has_window,
     load_agent,
     random_policy,
-    signature_of,
 )
 from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy
 from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder, checkpoint
+from karolos.records import RunFolder
 from karolos.records.shipped import FOLDER
-from karolos.registry import load
 from karolos.specification import Spec, load_spec, spec_from_dict
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -48,7 +42,7 @@ def reach(**changes: Any) -> Spec:
     return spec_from_dict({"name": "reach", "robot": "panda", "task": "reach", "agent": "sac", **changes})
 
 
-def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
+def test_the_expert_of_a_spec_solves_its_task_without_randomization():
     gravity = {"task.gravity": {"name": "normal", "mean": -9.81, "std": 1.0}}
     with load_expert(reach(randomization=gravity)) as player:
         assert player.environment.signature.parameters.size == 0
@@ -57,14 +51,14 @@ def test_the_expert_of_a_spec_solves_its_task_without_randomization() -> None:
     assert ends == [True, True, True]
 
 
-def test_an_environment_without_a_task_has_no_expert() -> None:
+def test_an_environment_without_a_task_has_no_expert():
     with pytest.raises(UsageError, match="there is no expert for this environment"), load_expert(spec_from_dict(TOY)):
         pass
     with pytest.raises(UsageError, match="tasks have experts"):
         expert_policy(Toy(Toy.Settings()))
 
 
-def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch):
     with (
         pytest.raises(MachineError, match="environment toy has no window"),
         load_expert(spec_from_dict(TOY), window=True),
@@ -77,7 +71,7 @@ def test_a_window_needs_an_environment_that_has_one_and_a_display(monkeypatch: p
     assert [has_window(one) for one in (spec_from_dict(TOY), reach())] == [False, False]
 
 
-def test_a_random_policy_fills_the_action_range_and_is_determined_by_its_seed() -> None:
+def test_a_random_policy_fills_the_action_range_and_is_determined_by_its_seed():
     environment = Toy(Toy.Settings())
     step = environment.reset(0)
 
@@ -97,7 +91,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     return RunFolder.open(Experiment(TOY).run(tmp_path_factory.mktemp("runs")).runs[0].folder)
 
 
-def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder: RunFolder) -> None:
+def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder):
     def totals() -> list[float]:
         with load_player(folder, "last") as player:
             assert (player.spec.name, player.note) == ("toy", None)
@@ -108,7 +102,7 @@ def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder:
     assert len(set(totals())) > 8, "the point moves"
 
 
-def test_a_number_that_is_not_finite_is_refused_by_its_name(folder: RunFolder, tmp_path: Path) -> None:
+def test_a_number_that_is_not_finite_is_refused_by_its_name(folder, tmp_path):
     saved = load_agent(folder, "last")
     export_policy(folder, tmp_path, checkpoint="last", onnx=False)
     for values in (np.array([0, np.nan]), np.array([[0, 0], [0, -np.inf]])):
@@ -120,30 +114,8 @@ def test_a_number_that_is_not_finite_is_refused_by_its_name(folder: RunFolder, t
             NumpyPolicy(tmp_path / "policy.npz")(np.zeros_like(values), values)
 
 
-def test_a_missing_checkpoint_is_refused(folder: RunFolder) -> None:
-    with pytest.raises(RunError, match="never"), load_player(folder, "never"):
-        pass
-
-
-@pytest.mark.parametrize("lost", ["part", "key", "steps"])
-def test_a_checkpoint_that_lacks_something_is_refused_in_one_line(tmp_path: Path, lost: str) -> None:
-    spec = {"name": "t", "environment": "toy", "agent": {"name": "sac", "hidden": [8]}}
-    folder = RunFolder.create(tmp_path, "t", 0)
-    resolved = spec_from_dict(spec)
-    folder.describe(resolved.dump(), experiment="x")
-    agent = load("agents", "sac")(resolved.agent.settings, signature_of(resolved), SeedTree(0), "cpu")
-    state = agent.state()
-    if lost == "key":
-        state.pop(next(iter(state)))
-    meta = {"seconds": 1.0} if lost == "steps" else {"steps": 1, "seconds": 1.0}
-    checkpoint.save(folder.checkpoints, "best", {"other" if lost == "part" else "agent": state}, meta)
-    with pytest.raises(RunError, match="checkpoint") as caught:
-        load_agent(folder)
-    assert "\n" not in str(caught.value)
-
-
 @pytest.mark.parametrize("name", ["panda_push", "panda_reach_dqn", "panda_insert_blind", "iiwa_open"])
-def test_the_environment_of_a_shipped_spec_passes_gymnasiums_check_with_its_settings(name: str) -> None:
+def test_the_environment_of_a_shipped_spec_passes_gymnasiums_check_with_its_settings(name):
     environment, spec = karolos.make(name), load_spec(name)
     assert spec.task is not None
     assert environment.spec is not None
@@ -155,7 +127,7 @@ def test_the_environment_of_a_shipped_spec_passes_gymnasiums_check_with_its_sett
         check_env(environment)
 
 
-def test_a_file_a_spec_a_run_and_what_gymnasium_makes_of_it_again_are_one_environment(tmp_path: Path) -> None:
+def test_a_file_a_spec_a_run_and_what_gymnasium_makes_of_it_again_are_one_environment(tmp_path):
     file = tmp_path / "mine.yaml"
     file.write_text("extends: karolos:panda_push.yaml\n")
     made = [karolos.make(one) for one in (file, load_spec("panda_push"), "shipped:panda_push", FOLDER / "panda_push")]
@@ -167,7 +139,7 @@ def test_a_file_a_spec_a_run_and_what_gymnasium_makes_of_it_again_are_one_enviro
         np.testing.assert_array_equal(start["observation"], starts[0]["observation"])
 
 
-def test_what_training_draws_is_drawn_on_demand() -> None:
+def test_what_training_draws_is_drawn_on_demand():
     gravity = {"task.gravity": {"name": "uniform", "low": -11, "high": -9}}
     spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "sac", "randomization": gravity})
     assert "parameters" not in karolos.make(spec).reset(seed=0)[1]
@@ -182,9 +154,7 @@ def test_what_training_draws_is_drawn_on_demand() -> None:
         ("zzz.yaml", SpecError, "zzz.yaml: there is no such file"),
     ],
 )
-def test_a_name_that_means_nothing_is_refused(
-    name: str, error: type[Exception], told: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_name_that_means_nothing_is_refused(name, error, told, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(error, match=told):
         karolos.make(name)
@@ -199,7 +169,7 @@ def begun(**settings: Any) -> Any:
     return GoalEnv.reset(gymnasium.make("karolos.gym:karolos/PandaReach-v1", **settings).unwrapped, seed=0)[0]  # type: ignore[arg-type]
 
 
-def test_a_policy_succeeds_in_its_environment(policy: SavedAgent) -> None:
+def test_a_policy_succeeds_in_its_environment(policy):
     environment, succeeded = karolos.make("panda_reach"), 0
     for seed in range(10):
         observation, info = environment.reset(seed=seed)
@@ -220,9 +190,7 @@ def test_a_policy_succeeds_in_its_environment(policy: SavedAgent) -> None:
         ({"control": "joint"}, "action is .joint_changes 7"),
     ],
 )
-def test_an_observation_of_another_environment_is_refused_in_one_line(
-    settings: dict[str, Any], told: str, policy: SavedAgent
-) -> None:
+def test_an_observation_of_another_environment_is_refused_in_one_line(settings, told, policy):
     own = policy.environment()._environment
     same = {"substeps": own.settings.substeps, "tool_step": own.robot.settings.tool_step}
     assert policy.act(begun(**same)).shape == (3,), "the task's length and threshold are no reason"
@@ -231,7 +199,7 @@ def test_an_observation_of_another_environment_is_refused_in_one_line(
     assert "\n" not in str(refused.value)
 
 
-def test_of_plain_arrays_the_sizes_are_checked(policy: SavedAgent) -> None:
+def test_of_plain_arrays_the_sizes_are_checked(policy):
     observation = policy.environment().reset(seed=0)[0]
     plain = dict(observation)
     np.testing.assert_array_equal(policy.act(plain), policy.act(plain["observation"], plain["desired_goal"]))
@@ -241,7 +209,7 @@ def test_of_plain_arrays_the_sizes_are_checked(policy: SavedAgent) -> None:
         policy.act([0, 0], plain["desired_goal"])
 
 
-def test_what_critics_alone_observe_may_be_there() -> None:
+def test_what_critics_alone_observe_may_be_there():
     environment = karolos.make("panda_insert_blind")
     facts = environment.facts
     assert facts.signature.observation.size > facts.signature.observation.acting.size

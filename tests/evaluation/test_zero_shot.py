@@ -1,7 +1,5 @@
 """Tests of a saved policy under changed settings: what is played, what is written, and what is refused."""
 
-from __future__ import annotations
-
 import shutil
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -44,7 +42,7 @@ def episodes_of(test: Evaluation) -> tuple[Any, ...]:
     return (test.steps, *(getattr(test, name) for name in LISTS))
 
 
-def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_chosen_on(toy: RunFolder) -> None:
+def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_chosen_on(toy):
     for name, own in toy.final().items():
         transfer = zero_shot_test(toy, checkpoint=name)
         assert episodes_of(transfer) == episodes_of(own)
@@ -55,9 +53,7 @@ def test_by_default_it_plays_the_episodes_of_the_final_test_which_nothing_was_ch
 
 
 @pytest.mark.parametrize(("seed", "episodes"), [(None, None), (None, 3), (None, 6), (8, 4)])
-def test_the_same_policy_on_the_same_episodes_stands_beside_it(
-    toy: RunFolder, seed: int | None, episodes: int | None
-) -> None:
+def test_the_same_policy_on_the_same_episodes_stands_beside_it(toy, seed, episodes):
     for name in ("best", "last"):
         changed = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint=name, seed=seed, episodes=episodes)
         unchanged = zero_shot_test(toy, checkpoint=name, seed=seed, episodes=episodes)
@@ -65,7 +61,7 @@ def test_the_same_policy_on_the_same_episodes_stands_beside_it(
         assert changed.own.episodes == changed.episodes == (episodes or 4)
 
 
-def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None:
+def test_results_are_appended_and_come_back_as_they_were(toy):
     first = zero_shot_test(toy, ["environment.threshold=0.9"], checkpoint="last", episodes=3, seed=8)
     second = zero_shot_test(toy, ["environment.max_steps=3"])
     assert toy.transfers() == ((first, second), ())
@@ -75,7 +71,7 @@ def test_results_are_appended_and_come_back_as_they_were(toy: RunFolder) -> None
     assert toy.record().problems == ()
 
 
-def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder) -> None:
+def test_overrides_change_what_is_played_and_seeds_which_episodes(toy):
     def returns(overrides: Sequence[str] = (), **options: Any) -> tuple[float, ...]:
         return zero_shot_test(toy, overrides, **options).returns
 
@@ -84,7 +80,7 @@ def test_overrides_change_what_is_played_and_seeds_which_episodes(toy: RunFolder
     assert len(returns(episodes=7)) == 7
 
 
-def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFolder) -> None:
+def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach):
     own = zero_shot_test(reach, checkpoint="last")
     other = zero_shot_test(reach, ["robot=ur5"], checkpoint="last")
     assert own.distances != other.distances
@@ -95,7 +91,7 @@ def test_a_policy_is_tested_on_another_robot_and_with_randomization(reach: RunFo
         zero_shot_test(reach, [gravity], checkpoint="last")
 
 
-def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
+def test_a_parameter_of_the_world_takes_a_plain_value(reach):
     own = zero_shot_test(reach, checkpoint="last")
     changed = zero_shot_test(reach, ["task.gravity=-5"], checkpoint="last")
     assert changed.distances != own.distances
@@ -112,7 +108,7 @@ def test_a_parameter_of_the_world_takes_a_plain_value(reach: RunFolder) -> None:
     zero_shot_test(reach, ["robot.name=panda"])
 
 
-def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: RunFolder) -> None:
+def test_other_layouts_are_refused_and_both_are_shown(reach, toy):
     before = reach.transfers()
     with pytest.raises(UsageError, match="with other observations, actions or goals") as caught:
         zero_shot_test(reach, ["robot.control=joint"], checkpoint="last")
@@ -132,12 +128,12 @@ def test_other_layouts_are_refused_and_both_are_shown(reach: RunFolder, toy: Run
         (["testing.episodes=3"], "--episodes"),
     ],
 )
-def test_overrides_of_training_are_refused(toy: RunFolder, overrides: list[str], message: str) -> None:
+def test_overrides_of_training_are_refused(toy, overrides, message):
     with pytest.raises(UsageError, match=message):
         zero_shot_test(toy, overrides)
 
 
-def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) -> None:
+def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy):
     with pytest.raises(SpecError, match="did you mean 'threshold'"):
         zero_shot_test(toy, ["environment.treshold=0.1"])
     with pytest.raises(UsageError, match="nothing to randomize"):
@@ -147,13 +143,13 @@ def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy: RunFolder) ->
     assert not (toy.path / TRANSFERS).exists()
 
 
-def test_a_run_without_its_spec_says_so(toy: RunFolder) -> None:
+def test_a_run_without_its_spec_says_so(toy):
     (toy.path / "resolved.json").write_text("{")
     with pytest.raises(RunError, match=r"resolved.json is missing, damaged or changed"):
         zero_shot_test(toy)
 
 
-def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
+def test_damaged_lines_are_left_out_and_named(toy):
     first = zero_shot_test(toy)
     path = toy.path / TRANSFERS
     path.write_text('{"time": 3}\nnot json\n' + path.read_text() + '{"torn')
@@ -168,7 +164,7 @@ def test_damaged_lines_are_left_out_and_named(toy: RunFolder) -> None:
     assert toy.transfers().rows == (first, first)
 
 
-def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
+def test_many_that_add_at_once_lose_nothing(toy):
     first = zero_shot_test(toy)
     many = [replace(first, seed=seed) for seed in range(24)]
     with ThreadPoolExecutor(8) as pool:
@@ -176,7 +172,7 @@ def test_many_that_add_at_once_lose_nothing(toy: RunFolder) -> None:
     assert sorted(transfer.seed for transfer in toy.transfers().rows[1:]) == list(range(24))
 
 
-def test_a_lock_held_by_another_process_is_an_error(toy: RunFolder, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_lock_held_by_another_process_is_an_error(toy, monkeypatch):
     first = zero_shot_test(toy)
     monkeypatch.setattr("karolos.files.LOCK_SECONDS", 0.0)
     lock = FileLock(toy.path / "transfers.lock")

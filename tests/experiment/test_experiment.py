@@ -1,7 +1,5 @@
 """An experiment from Python: what it leaves behind, and what happens when something goes wrong."""
 
-from __future__ import annotations
-
 import json
 import signal
 import subprocess
@@ -131,16 +129,6 @@ def test_the_listener_hears_each_run_from_start_to_end(finished):
         assert sum(isinstance(event, RunTested) for event in mine) == 3
 
 
-def test_same_seed_gives_identical_tests_and_weights_whatever_the_processes(finished, tmp_path):
-    _, outcome, _ = finished
-    again = Experiment(spec(seeds=[1], orchestrator={"processes": 2, "environments": 2})).run(tmp_path)
-    assert again.runs[0].experiment == outcome.runs[1].experiment, "a layout is not another experiment"
-    (folder,), before = folders(again), folders(outcome)[1]
-    for one, other in zip(folder.tests(), before.tests(), strict=True):
-        assert (one.any, one.end, one.returns) == (other.any, other.end, other.returns)
-    assert_same_state(weights(folder)[0], weights(before)[0])
-
-
 SIDE_BY_SIDE = """
 from karolos.launchers.experiment import Experiment
 outcome = Experiment({spec!r}).run({runs!r}, jobs=2, listener=lambda event: print(type(event).__name__))
@@ -215,15 +203,11 @@ def test_a_plugin_that_raises_fails_its_run_with_traceback_and_the_other_seeds_g
     outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=events.append, check=False)
     assert [(run.state, run.error) for run in outcome.runs] == [("failed", "ZeroDivisionError: boom")] * 2
     assert outcome.exit_code == 1
+    with pytest.raises(RunError, match=r"2 of 2 runs failed: toy-s0.*ZeroDivisionError: boom"):
+        outcome.check()  # which a script does by default
     ends = [event for event in events if isinstance(event, RunEnded)]
     assert all("def learn" not in end.error and "raise ZeroDivisionError" in end.traceback for end in ends)
     assert "raise ZeroDivisionError" in folders(outcome)[0].events()[-1]["traceback"]
-
-
-def test_from_python_a_failed_run_raises_once_all_seeds_have_ended(tmp_path, monkeypatch):
-    break_agent(monkeypatch)
-    with pytest.raises(RunError, match=r"2 of 2 runs failed: toy-s0.*ZeroDivisionError: boom"):
-        Experiment(spec(seeds=[0, 1])).run(tmp_path)
 
 
 def test_a_loss_that_is_not_a_number_stops_the_run_and_names_it(tmp_path, monkeypatch):

@@ -1,7 +1,5 @@
 """The final test of a run: its episodes, its policies, where it is stored, and what a kill leaves of it."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -36,7 +34,7 @@ def folder_of(outcome: Outcome, place: int = 0) -> RunFolder:
     return RunFolder.open(outcome.runs[place].folder)
 
 
-def test_a_run_ends_with_a_test_of_last_and_best_on_episodes_that_no_other_test_played(outcome: Outcome) -> None:
+def test_a_run_ends_with_a_test_of_last_and_best_on_episodes_that_no_other_test_played(outcome):
     folder = folder_of(outcome)
     seed = 3 + 1_000_000
     assert list(folder.final()) == ["last", "best"]
@@ -50,7 +48,7 @@ def test_a_run_ends_with_a_test_of_last_and_best_on_episodes_that_no_other_test_
         assert result.episodes == 9
 
 
-def test_the_reported_success_is_that_of_the_final_test_in_the_folder_and_the_index(outcome: Outcome) -> None:
+def test_the_reported_success_is_that_of_the_final_test_in_the_folder_and_the_index(outcome):
     for summary in outcome.runs:
         last, best = RunFolder.open(summary.folder).final().values()
         assert (summary.success_any, summary.success_end) == (last.success_any, last.success_end)
@@ -62,7 +60,7 @@ def test_the_reported_success_is_that_of_the_final_test_in_the_folder_and_the_in
             assert query.find(store, summary.run) == summary
 
 
-def test_its_event_comes_once_it_is_written(tmp_path: Path) -> None:
+def test_its_event_comes_once_it_is_written(tmp_path):
     seen = []
 
     def listen(event: object) -> None:
@@ -75,9 +73,7 @@ def test_its_event_comes_once_it_is_written(tmp_path: Path) -> None:
     assert told == written
 
 
-def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(tmp_path, monkeypatch):
     save = checkpoint.save
 
     def full(folder: Path, name: str, *content: Any) -> Path:
@@ -93,7 +89,7 @@ def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(
     assert summary.best_steps == best.steps
 
 
-def test_no_final_test_without_final_episodes(tmp_path: Path) -> None:
+def test_no_final_test_without_final_episodes(tmp_path):
     spec = TOY | {"testing": TOY["testing"] | {"final_episodes": 0}}
     [summary] = Experiment(spec).run(tmp_path).runs
     folder = RunFolder.open(summary.folder)
@@ -103,7 +99,7 @@ def test_no_final_test_without_final_episodes(tmp_path: Path) -> None:
     assert summary.success_end == folder.tests()[-1].success_end
 
 
-def test_null_plays_as_many_episodes_as_a_test_and_is_the_same_experiment() -> None:
+def test_null_plays_as_many_episodes_as_a_test_and_is_the_same_experiment():
     testing = {"interval": 20, "episodes": 4}
     absent = spec_from_dict(TOY | {"testing": testing})
     assert absent.testing.final_count == 4
@@ -111,9 +107,7 @@ def test_null_plays_as_many_episodes_as_a_test_and_is_the_same_experiment() -> N
     assert absent.hash() != spec_from_dict(TOY | {"testing": testing | {"final_episodes": 5}}).hash()
 
 
-def test_a_run_killed_in_its_final_test_plays_it_on_resume(
-    tmp_path: Path, outcome: Outcome, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_killed_in_its_final_test_plays_it_on_resume(tmp_path, outcome, monkeypatch):
     played = due_tests.play_episodes
 
     def killed(environments: Any, agent: Any, seeds: Any, **options: Any) -> Any:
@@ -139,7 +133,7 @@ def test_a_run_killed_in_its_final_test_plays_it_on_resume(
 
 
 @pytest.mark.parametrize("damage", [lambda text: text[:-40], lambda text: "{}\n", lambda text: text.splitlines()[0]])
-def test_a_damaged_file_is_named_and_the_last_test_counts_instead(outcome: Outcome, damage: Any) -> None:
+def test_a_damaged_file_is_named_and_the_last_test_counts_instead(outcome, damage):
     folder = folder_of(outcome, 1)
     path = folder.path / FILE
     whole = path.read_text()
@@ -154,6 +148,6 @@ def test_a_damaged_file_is_named_and_the_last_test_counts_instead(outcome: Outco
     assert folder.record().problems == ()
 
 
-def test_the_file_has_one_line_per_policy(outcome: Outcome) -> None:
+def test_the_file_has_one_line_per_policy(outcome):
     played = [json.loads(line) for line in (folder_of(outcome).path / FILE).read_text().splitlines()]
     assert [(one["checkpoint"], len(one["any"])) for one in played] == [("last", 9), ("best", 9)]

@@ -1,8 +1,5 @@
 """Runs and policies from Python: `karolos.runs`, `karolos.load`, the printed outcome, and columns of `runs list`."""
 
-from __future__ import annotations
-
-import json
 import re
 import shutil
 import sys
@@ -11,8 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from karolos_cli import runs as runs_command
-from support.commands import call
 from support.toy_runs import toy
 
 import karolos
@@ -30,7 +25,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_records_and_rows(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_records_and_rows(folder, monkeypatch):
     monkeypatch.setitem(sys.modules, "pandas", None)
     records = karolos.runs("agent=sac and agent.learning_rate<1", runs=folder)
     assert [run.state for run in records] == ["finished"]
@@ -42,7 +37,7 @@ def test_records_and_rows(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None
     assert len(karolos.runs(runs=folder / "empty")) == 0
 
 
-def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder: Path, tmp_path: Path) -> None:
+def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder, tmp_path):
     before = karolos.runs(runs=folder)
     copy = shutil.copytree(folder, tmp_path / "copy", ignore=shutil.ignore_patterns("karolos.sqlite"))
     (copy / "damaged").mkdir()
@@ -57,12 +52,12 @@ def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder: Path, t
             ask(runs=tmp_path / "nowhere")
 
 
-def test_rows_are_a_data_frame_where_pandas_is_installed(folder: Path) -> None:
+def test_rows_are_a_data_frame_where_pandas_is_installed(folder):
     pandas = pytest.importorskip("pandas")
     assert isinstance(karolos.runs(runs=folder).rows(), pandas.DataFrame)
 
 
-def test_a_loaded_policy_acts_on_one_and_on_many(folder: Path) -> None:
+def test_a_loaded_policy_acts_on_one_and_on_many(folder):
     for run in ("@last", karolos.runs(runs=folder)[0].folder):
         policy = karolos.load(run, runs=folder)
         about, shape = str(policy).splitlines()
@@ -81,7 +76,7 @@ def test_a_loaded_policy_acts_on_one_and_on_many(folder: Path) -> None:
         karolos.load("x" * 300, runs=folder)
 
 
-def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path, capsys):
     outcome = karolos.Experiment(TOY).run(tmp_path, progress=True)
     told = capsys.readouterr().err.splitlines()
     run = outcome.runs[0].run
@@ -91,13 +86,3 @@ def test_an_outcome_prints_as_a_table_and_progress_as_lines(tmp_path: Path, caps
     head, line = str(outcome).splitlines()
     assert head.split() == ["run", "state", "steps", "return", "success", "end", "seconds"]
     assert line.split()[:3] == [outcome.runs[0].run, "finished", "40"]
-
-
-def test_columns_of_runs_list(folder: Path) -> None:
-    where = ("--runs", str(folder))
-    code, out, _ = call(runs_command.app, "list", "--columns", "run,agent.learning_rate", "--json", *where)
-    assert code == 0
-    assert list(json.loads(out)) == ["run", "agent.learning_rate"]
-    assert "agent.hidden" in call(runs_command.app, "list", "--columns", "seed,agent.hidden", *where)[1]
-    code, _, told = call(runs_command.app, "list", "--columns", "agent.hiden", *where)
-    assert (code, "did you mean 'agent.hidden'?" in told) == (2, True)

@@ -1,7 +1,5 @@
 """Seeds without a finished run, and a database that cannot be reached while an experiment goes on."""
 
-from __future__ import annotations
-
 import os
 import signal
 from pathlib import Path
@@ -16,7 +14,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.store import Store, check, reindex
 
 
-def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path: Path) -> None:
+def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path):
     spec = TOY | {"seeds": [0, 1], "training": TOY["training"] | {"steps": 100_000}}
     spec |= {"testing": {"interval": 100_000, "episodes": 2}}
     killed, ended = [], []
@@ -75,9 +73,7 @@ class Outage:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(
-    jobs: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_seed(jobs, tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.launchers.experiment.make_launcher", lambda *_: FakeLauncher())  # for two jobs
     outage = Outage(tmp_path)
     outcome = Experiment(TOY | {"seeds": [0, 1, 2]}).run(tmp_path, jobs=jobs, listener=outage)
@@ -95,7 +91,7 @@ def test_a_database_that_cannot_be_reached_between_seeds_costs_a_warning_and_no_
         assert sorted(run.seed for run in store.runs()) == [0, 1, 2]
 
 
-def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) -> None:
+def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path):
     outage = Outage(tmp_path)
 
     def listen(event: object) -> None:
@@ -108,13 +104,3 @@ def test_a_run_is_entered_whole_as_soon_as_the_database_is_back(tmp_path: Path) 
     with Store(Store.default_url(tmp_path)) as store:
         assert store.runs() == outcome.runs
         assert list(check(store, tmp_path)) == []
-
-
-def test_finished_runs_of_a_driver_that_was_killed_are_entered_by_the_next(tmp_path: Path) -> None:
-    spec = TOY | {"seeds": [0, 1]}
-    Experiment(spec).run(tmp_path)
-    (tmp_path / "karolos.sqlite").unlink()
-    Experiment(spec).run(tmp_path, jobs=2, existing="resume")
-    with Store(Store.default_url(tmp_path)) as store:
-        assert len(store.runs()) == 2
-        assert not list(check(store, tmp_path))

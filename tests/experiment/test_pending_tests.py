@@ -1,7 +1,5 @@
 """Tests beside training: the same results as in the run's own process, whatever happens to the second one."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal
@@ -81,9 +79,7 @@ def after_add(monkeypatch: pytest.MonkeyPatch, do: Callable[[PendingTests], obje
     monkeypatch.setattr(PendingTests, "add", lambda tests: (add(tests), do(tests))[0])
 
 
-def test_results_and_weights_are_those_of_a_run_without_a_second_process(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_results_and_weights_are_those_of_a_run_without_a_second_process(alone, beside, tmp_path, monkeypatch):
     after_add(monkeypatch, lambda tests: wait_for(beside, tests))
     folder = run(tmp_path)
     assert beside, "the second process has played a test"
@@ -104,9 +100,7 @@ def hang(tests: PendingTests) -> None:
         os.kill(process.pid, signal.SIGSTOP)
 
 
-def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(alone, beside, tmp_path, monkeypatch):
     after_add(monkeypatch, kill)
     events: list[object] = []
     folder = run(tmp_path, listener=events.append)
@@ -116,9 +110,7 @@ def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(
     assert_same_runs(alone, folder)
 
 
-def test_a_process_that_hangs_costs_nothing_and_training_waits_for_the_tests(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_hangs_costs_nothing_and_training_waits_for_the_tests(alone, beside, tmp_path, monkeypatch):
     waiting = []
 
     def look(tests: PendingTests) -> None:
@@ -132,9 +124,7 @@ def test_a_process_that_hangs_costs_nothing_and_training_waits_for_the_tests(
     assert not second_processes()
 
 
-def test_a_process_that_fails_says_why_and_one_that_cannot_start_costs_nothing(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_fails_says_why_and_one_that_cannot_start_costs_nothing(alone, beside, tmp_path, monkeypatch):
     class Unable(pending_tests.EvaluationProcess):
         def __init__(self, spec: Any) -> None:
             super().__init__(spec.model_copy(update={"name": "/"}))  # which its process refuses
@@ -154,9 +144,7 @@ def test_a_process_that_fails_says_why_and_one_that_cannot_start_costs_nothing(
     assert_same_runs(alone, folder)
 
 
-def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
-    alone: RunFolder, beside: list[object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(alone, beside, tmp_path, monkeypatch):
     """The second process is not ready before training is over, so every test is pending."""
 
     def stop_at_the_end(tests: PendingTests) -> None:
@@ -175,9 +163,7 @@ def test_a_stop_with_pending_tests_keeps_them_for_the_resumed_run(
     assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 
-def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
-    alone: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(alone, tmp_path, monkeypatch):
     rounds = []
     play = due_tests.play_episodes
 
@@ -199,7 +185,7 @@ def test_a_stop_during_a_test_abandons_it_and_the_resumed_run_plays_it_again(
     assert_same_runs(alone, run(tmp_path, existing="resume"))
 
 
-def test_the_end_of_the_second_process_ends_no_other() -> None:
+def test_the_end_of_the_second_process_ends_no_other():
     process = due_tests.EvaluationProcess(spec_from_dict(SPEC))
     other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(60,), daemon=True)
     other.start()
@@ -209,7 +195,7 @@ def test_the_end_of_the_second_process_ends_no_other() -> None:
     other.join()
 
 
-def test_no_second_process_starts_for_short_tests(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_second_process_starts_for_short_tests(tmp_path, monkeypatch):
     monkeypatch.setattr(experiment, "cores", lambda: 2)
     monkeypatch.setattr(pending_tests, "EvaluationProcess", lambda _: pytest.fail("it starts"))
     assert run(tmp_path).state().state == "finished"

@@ -1,7 +1,5 @@
 """A run that ended too soon goes on as if it had not."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
@@ -47,11 +45,7 @@ CASES = {
         "buffer": {"name": "on_policy", "rollout": 8},
         "training": {"steps": 240},
     },
-    "td3, uniform, 2 processes": {
-        "agent": SAC | {"name": "td3"},
-        "buffer": {"name": "uniform", "capacity": 400},
-        "orchestrator": {"processes": 2, "environments": 2},
-    },
+    "td3, uniform": {"agent": SAC | {"name": "td3"}, "buffer": {"name": "uniform", "capacity": 400}},
 }
 
 
@@ -73,7 +67,7 @@ def only(outcome: Any) -> RunFolder:
     return RunFolder.open(run.folder)
 
 
-def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path, monkeypatch):
     folder = RunFolder.create(tmp_path, "toy", 0)
     spec = spec_from_dict(USUAL)
     monkeypatch.setattr(Spec, "files", lambda _: {"task.part": "2"})
@@ -82,7 +76,7 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path: Path, monkeypatc
         run_or_resume(folder, None, lambda _: None, StopRequest(), two_processes=False)
 
 
-def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_run_that_resumes_with_other_software_says_so(tmp_path, monkeypatch):
     only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100), check=False))
     there = provenance.versions()
     monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
@@ -94,11 +88,10 @@ def test_a_run_that_resumes_with_other_software_says_so(tmp_path: Path, monkeypa
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_run_in_two_processes_that_is_stopped_and_resumed_equals_one_without_a_break_in_one_bit_for_bit(case, tmp_path):
     spec = BASE | CASES[case]
     whole = only(Experiment(spec).run(tmp_path / "whole"))
+    spec |= {"orchestrator": {"processes": 2, "environments": 2}}
     broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert broken.runs[0].state == "stopped"
     assert broken.exit_code == 143
@@ -112,9 +105,7 @@ def test_stopped_and_resumed_run_equals_one_without_a_break_bit_for_bit(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(
-    engine: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engine, tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.launchers.experiment.cores", lambda: 1)  # test_pending_tests has a process for tests
     spec = BASE | {
         "environment": {"name": "robot_task", "engine": engine},
@@ -166,16 +157,14 @@ def damage(folder: RunFolder, name: str) -> None:
     path.write_bytes(data)
 
 
-def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole: RunFolder, broken: RunFolder) -> None:
+def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole, broken):
     damage(broken, "last")
     warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
     assert any("agent.pt" in warning and "previous checkpoint" in warning for warning in warnings)
     assert_same_runs(whole, broken)
 
 
-def test_a_damaged_checkpoint_does_not_replace_the_one_before(
-    whole: RunFolder, broken: RunFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_damaged_checkpoint_does_not_replace_the_one_before(whole, broken, monkeypatch):
     damage(broken, "last")
     save = checkpoint.save
 
@@ -192,7 +181,7 @@ def test_a_damaged_checkpoint_does_not_replace_the_one_before(
     assert_same_runs(whole, broken)
 
 
-def test_a_run_whose_events_are_lost_goes_on_from_its_checkpoint(whole: RunFolder, broken: RunFolder) -> None:
+def test_a_run_whose_events_are_lost_goes_on_from_its_checkpoint(whole, broken):
     (broken.path / "events.jsonl").write_bytes(b"")
     go_on(broken)
     (resumed,) = [event for event in broken.events() if event["event"] == "resumed"]
@@ -200,7 +189,7 @@ def test_a_run_whose_events_are_lost_goes_on_from_its_checkpoint(whole: RunFolde
     assert_same_runs(whole, broken)
 
 
-def test_a_run_that_learns_in_another_precision_is_not_bit_exact(broken: RunFolder) -> None:
+def test_a_run_that_learns_in_another_precision_is_not_bit_exact(broken):
     events = (broken.path / "events.jsonl").read_text()
     (broken.path / "events.jsonl").write_text(events.replace("float32", "bfloat16"))
     warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
@@ -208,13 +197,13 @@ def test_a_run_that_learns_in_another_precision_is_not_bit_exact(broken: RunFold
     assert [event["bit_exact"] for event in broken.events() if event["event"] == "resumed"] == [False]
 
 
-def test_a_run_that_cannot_be_read_is_not_trained_again(broken: RunFolder) -> None:
+def test_a_run_that_cannot_be_read_is_not_trained_again(broken):
     (broken.path / "run.json").write_text("{")
     with pytest.raises(RunError, match=r"run\.json is damaged"):
         Experiment(USUAL).run(broken.path.parent, existing="resume")
 
 
-def test_a_renamed_folder_is_still_the_same_run(whole: RunFolder, broken: RunFolder) -> None:
+def test_a_renamed_folder_is_still_the_same_run(whole, broken):
     best = broken.path.rename(broken.path.parent / "best_arm")
     outcome = Experiment(USUAL).run(best.parent, existing="resume")
     assert [run.run for run in outcome.runs] == [broken.id]
@@ -223,7 +212,7 @@ def test_a_renamed_folder_is_still_the_same_run(whole: RunFolder, broken: RunFol
     assert Experiment(tuned).run(best.parent).runs[0].state == "finished"
 
 
-def test_a_missing_index_is_rebuilt_before_a_run(broken: RunFolder) -> None:
+def test_a_missing_index_is_rebuilt_before_a_run(broken):
     go_on(broken)
     runs = broken.path.parent
     (runs / "karolos.sqlite").unlink()
@@ -239,7 +228,7 @@ def test_a_missing_index_is_rebuilt_before_a_run(broken: RunFolder) -> None:
         assert [run.name for run in store.runs()] == ["other", "toy"]
 
 
-def test_tests_of_a_run_that_ended_unseen_are_read_from_its_folder(broken: RunFolder) -> None:
+def test_tests_of_a_run_that_ended_unseen_are_read_from_its_folder(broken):
     runs = broken.path.parent
     index = (runs / "karolos.sqlite").read_bytes()
     go_on(broken)
@@ -250,13 +239,13 @@ def test_tests_of_a_run_that_ended_unseen_are_read_from_its_folder(broken: RunFo
         assert [test.steps for test in stored(store, broken.id).tests] == [100, 200, 240]
 
 
-def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole: RunFolder, broken: RunFolder) -> None:
+def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole, broken):
     shutil.rmtree(broken.checkpoints)
     go_on(broken)
     assert_same_runs(whole, broken)
 
 
-def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(broken: RunFolder) -> None:
+def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(broken):
     for name in ("last", "previous"):
         (broken.checkpoints / name / "manifest.json").write_text("{}")
     before = sorted(path for path in broken.path.rglob("*") if path.is_file())
@@ -269,7 +258,7 @@ def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(
     assert sorted(path for path in broken.path.rglob("*") if path.is_file()) == before
 
 
-def test_checkpoint_of_another_experiment_is_refused(broken: RunFolder, tmp_path: Path) -> None:
+def test_checkpoint_of_another_experiment_is_refused(broken, tmp_path):
     other = only(Experiment(USUAL | {"agent": SAC | {"tau": 0.01}}).run(tmp_path))
     shutil.rmtree(broken.checkpoints)
     shutil.copytree(other.checkpoints, broken.checkpoints)
@@ -277,7 +266,7 @@ def test_checkpoint_of_another_experiment_is_refused(broken: RunFolder, tmp_path
         resume_run(broken, Store.default_url(broken.path.parent))
 
 
-def test_settings_that_were_changed_after_the_start_are_refused(broken: RunFolder) -> None:
+def test_settings_that_were_changed_after_the_start_are_refused(broken):
     file = broken.path / "resolved.json"
     file.write_text(file.read_text().replace('"discount": 0.9', '"discount": 0.5'))
     for resume in (
@@ -290,7 +279,7 @@ def test_settings_that_were_changed_after_the_start_are_refused(broken: RunFolde
     assert "resolved.json: missing, damaged or changed" in broken.record().problems
 
 
-def test_finished_seeds_are_not_run_again(broken: RunFolder) -> None:
+def test_finished_seeds_are_not_run_again(broken):
     go_on(broken)
     spec = USUAL | {"seeds": [0, 1]}
     for existing in ("skip", "resume"):
@@ -301,7 +290,7 @@ def test_finished_seeds_are_not_run_again(broken: RunFolder) -> None:
         assert [event.seed for event in events if isinstance(event, RunStarted)] == ([1] if existing == "skip" else [])
 
 
-def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: RunFolder) -> None:
+def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken):
     go_on(broken)
     before = broken.events()
     with broken:
@@ -311,9 +300,7 @@ def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken: R
     assert broken.events() == before
 
 
-def test_the_checkpoint_that_a_run_resumed_from_is_not_kept_in_memory(
-    broken: RunFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_checkpoint_that_a_run_resumed_from_is_not_kept_in_memory(broken, monkeypatch):
     snapshots = []
 
     def newest(folder: RunFolder) -> Snapshot:
@@ -326,7 +313,7 @@ def test_the_checkpoint_that_a_run_resumed_from_is_not_kept_in_memory(
     assert [snapshot.parts for snapshot in snapshots] == [{}]
 
 
-def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: Path) -> None:
+def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path):
     spec = BASE | {
         "environment": {"name": "gymnasium", "id": "support.goal_environments:Straying-v0", "flatten_goals": True},
         "agent": SAC,
@@ -341,7 +328,7 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path: 
     assert any(strayed in warning for warning in warnings)
 
 
-def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path: Path) -> None:
+def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path):
     spec = USUAL | {"training": BASE["training"] | {"mode": "async"}}
     stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False))
     steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
@@ -359,7 +346,7 @@ def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_pat
         assert [test.steps for test in stored(store, done.id).tests] == left
 
 
-def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
+def test_time_limit_stops_with_a_checkpoint(tmp_path):
     spec = USUAL | {"training": BASE["training"] | {"steps": 10**6}}
     outcome = Experiment(spec).run(tmp_path, time_limit=1.5)
     assert outcome.exit_code == 124
@@ -370,9 +357,7 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["sac, priority, hindsight", "ppo"])
-def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case, tmp_path, monkeypatch):
     spec = BASE | CASES[case]
     longer = spec | {"training": spec["training"] | {"steps": 400}}
     whole, short = only(Experiment(longer).run(tmp_path / "whole")), only(Experiment(spec).run(tmp_path))

@@ -1,7 +1,5 @@
 """A run in an environment that does not define success: returns stand where success stands elsewhere."""
 
-from __future__ import annotations
-
 import io
 import json
 from pathlib import Path
@@ -52,7 +50,7 @@ def run(told: tuple[RunSummary, list[str]]) -> RunSummary:
     return told[0]
 
 
-def test_records_and_index_hold_returns_and_no_success(run: RunSummary) -> None:
+def test_records_and_index_hold_returns_and_no_success(run):
     folder = RunFolder.open(run.folder)
     assert (run.mean_return, run.best_return) == tuple(one.mean_return for one in folder.final().values())
     unknown = ("success_any", "success_end", "best_any", "best_end", "steps_to_95", "seconds_to_95", "steps_to_95_any")
@@ -68,14 +66,14 @@ def test_records_and_index_hold_returns_and_no_success(run: RunSummary) -> None:
             reindex(store, folder.path.parent)
 
 
-def test_best_is_the_policy_of_the_highest_return(run: RunSummary) -> None:
+def test_best_is_the_policy_of_the_highest_return(run):
     folder = RunFolder.open(run.folder)
     best = max(folder.tests(), key=lambda test: test.mean_return)
     meta = checkpoint.read_meta(folder.checkpoints, "best")
     assert (meta["steps"], meta["chosen_by"]) == (best.steps, {"mean_return": best.mean_return})
 
 
-def test_lines_of_a_run_and_series_say_returns_only(told: tuple[RunSummary, list[str]]) -> None:
+def test_lines_of_a_run_and_series_say_returns_only(told):
     run, lines = told
     assert sum(": return -" in line for line in lines) == 4
     assert not any("success" in line for line in lines)
@@ -87,7 +85,7 @@ def test_lines_of_a_run_and_series_say_returns_only(told: tuple[RunSummary, list
     assert not [tag for tag in tags if "success" in tag]
 
 
-def test_tables_show_returns_only(run: RunSummary) -> None:
+def test_tables_show_returns_only(run):
     runs = ("--runs", str(Path(run.folder).parent))
     for command in (("list",), ("show", run.run)):
         code, out, _ = call(karolos_cli.runs.app, *command, *runs)
@@ -102,7 +100,7 @@ def test_tables_show_returns_only(run: RunSummary) -> None:
     assert table.rows[0][table.columns.index("return")] == f"{run.mean_return:,.2f}"
 
 
-def test_compare_shows_returns_by_default_and_refuses_to_compare_success(run: RunSummary, tmp_path: Path) -> None:
+def test_compare_shows_returns_by_default_and_refuses_to_compare_success(run, tmp_path):
     where = (run.run, "--runs", str(Path(run.folder).parent))
     code, out, _ = call(app, "compare", *where, "--out", str(tmp_path))
     assert code == 0
@@ -113,7 +111,7 @@ def test_compare_shows_returns_by_default_and_refuses_to_compare_success(run: Ru
     assert (code, "does not define success" in err) == (2, True)
 
 
-def test_play_says_the_return(run: RunSummary, tmp_path: Path) -> None:
+def test_play_says_the_return(run, tmp_path):
     pytest.importorskip("pygame")
     film = ("--record", str(tmp_path / "film.gif"), "--width", "64", "--height", "48")
     code, _, err = call(app, "play", run.folder, *film)

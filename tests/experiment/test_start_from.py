@@ -1,7 +1,5 @@
 """Starting from another run's agent: what is taken over, what is refused, and what the experiment then is."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -40,7 +38,7 @@ def signature(of: Spec) -> Signature:
 
 
 @pytest.mark.parametrize("name", ["sac", "td3", "ddpg"])
-def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name: str, tmp_path: Path) -> None:
+def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name, tmp_path):
     small = {**TOY, "agent": {"name": name, "hidden": [8]}}
     folder = RunFolder.open(Experiment(small).run(tmp_path).runs[0].folder)
     wanted = spec(folder.id, agent={"name": name, "hidden": [8]})
@@ -57,7 +55,7 @@ def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name: str,
     assert state_differences(state["policy"], fresh["policy"])
 
 
-def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(source: RunFolder) -> None:
+def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(source):
     runs = source.path.parent
     wanted = {**TOY, "name": "onward", "agent": {**TOY["agent"], "start_from": source.id, "start_checkpoint": "last"}}
     folder = RunFolder.open(
@@ -70,7 +68,7 @@ def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(sour
     assert folder.spec()["agent"]["start_sha256"] == event["sha256"]
 
 
-def test_the_experiment_is_what_was_started_from_wherever_it_lies(source: RunFolder) -> None:
+def test_the_experiment_is_what_was_started_from_wherever_it_lies(source):
     runs = source.path.parent
     by_id, by_path = pinned(spec(source.id), runs), pinned(spec(str(source.path)), Path("elsewhere"))
     assert by_id.hash() == by_path.hash()
@@ -79,12 +77,12 @@ def test_the_experiment_is_what_was_started_from_wherever_it_lies(source: RunFol
     assert pinned(spec_from_dict(TOY), runs).hash() == spec_from_dict(TOY).hash()
 
 
-def test_a_checkpoint_that_is_another_by_now_is_refused(source: RunFolder) -> None:
+def test_a_checkpoint_that_is_another_by_now_is_refused(source):
     with pytest.raises(UsageError, match="not the one this spec was first run with"):
         find(spec(source.id, f"agent.start_sha256={'f' * 64}"), source.path.parent)
 
 
-def test_other_layouts_are_refused_and_both_are_shown(source: RunFolder) -> None:
+def test_other_layouts_are_refused_and_both_are_shown(source):
     wide = spec(source.id, environment={"name": "toy", "dimensions": 3})
     with pytest.raises(UsageError, match="other observations, actions or goals") as caught:
         pinned(wide, source.path.parent)
@@ -94,20 +92,21 @@ def test_other_layouts_are_refused_and_both_are_shown(source: RunFolder) -> None
     assert "override" in text  # where it was set
 
 
-def test_another_agent_and_other_networks_are_refused(source: RunFolder) -> None:
+def test_another_agent_and_other_networks_are_refused(source):
     with pytest.raises(UsageError, match="the agent is td3, and the run's agent is sac"):
         find(spec(source.id, agent={"name": "td3"}), source.path.parent)
     with pytest.raises(UsageError, match=r"agent.hidden is \[16\] here and \[8\] in the run"):
         find(spec(source.id, "agent.hidden=[16]"), source.path.parent)
 
 
-def test_a_run_that_is_not_there_is_refused_before_a_folder_is_made(tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match="'nobody'"):
-        Experiment(spec("nobody")).run(tmp_path)
+@pytest.mark.parametrize(("name", "told"), [("nobody", "'nobody'"), ("x" * 300, "not a run folder")])
+def test_a_run_that_is_not_there_is_refused_before_a_folder_is_made(tmp_path, name, told):
+    with pytest.raises(UsageError, match=told):
+        Experiment(spec(name)).run(tmp_path)
     assert not [path for path in tmp_path.iterdir() if path.is_dir()]
 
 
-def test_robots_in_cartesian_control_take_over_from_each_other() -> None:
+def test_robots_in_cartesian_control_take_over_from_each_other():
     layouts = set()
     for robot in ("panda", "ur5", "iiwa"):
         part = {"name": robot, "control": "cartesian"}

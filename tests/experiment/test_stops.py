@@ -1,7 +1,5 @@
 """A run that is asked to stop ends soon wherever it is, with a checkpoint; the resumed run equals an unbroken one."""
 
-from __future__ import annotations
-
 import os
 import signal
 import threading
@@ -38,7 +36,7 @@ def run(runs: Path, **options: Any) -> RunFolder:
     return RunFolder.open(summary.folder)
 
 
-def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_again(tmp_path: Path) -> None:
+def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_again(tmp_path):
     def stop(event: object) -> None:
         if isinstance(event, RunBusy) and event.activity == "collecting demonstrations":
             signal.raise_signal(signal.SIGTERM)
@@ -55,7 +53,7 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
 
-def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.experiment.signals.LOOK_SECONDS", 0.0)
 
     def ask(event: object) -> None:
@@ -68,7 +66,7 @@ def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path: Path, mo
     assert not list(tmp_path.glob("*/stop"))
 
 
-def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None:
+def test_listener_hears_what_a_run_does_besides_training(tmp_path):
     events: list[object] = []
     run(tmp_path, listener=events.append)
     busy = [event for event in events if isinstance(event, RunBusy)]
@@ -82,7 +80,7 @@ def test_listener_hears_what_a_run_does_besides_training(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("ignored", [signal.SIGHUP, signal.SIGINT])
-def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal.Signals) -> None:
+def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored):
     before = signal.signal(ignored, signal.SIG_IGN)
     try:
         with stop_on_signals() as stop:
@@ -92,9 +90,7 @@ def test_what_nohup_or_a_shells_background_ignores_stays_ignored(ignored: signal
         signal.signal(ignored, before)
 
 
-def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(tmp_path, monkeypatch):
     monkeypatch.setattr(writer, "WRITE_SECONDS", 0.0)
     monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
     steps: list[tuple[int, int]] = []
@@ -120,9 +116,7 @@ def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(
         "experiment.run.Checkpointer.restore",
     ],
 )
-def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
-    phase: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(phase, tmp_path, monkeypatch):
     resumes = phase.rpartition(".")[2] in ("newest_snapshot", "restore")
     if resumes:
         Experiment(REACH).run(
@@ -147,7 +141,7 @@ def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(
 
 
 @pytest.mark.parametrize(("processes", "seeds", "jobs"), [(0, [0], 1), (1, [0], 1), (1, [0, 1], 2)])
-def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], jobs: int, tmp_path: Path) -> None:
+def test_a_stop_breaks_off_a_step_that_hangs(processes, seeds, jobs, tmp_path):
     asked: list[float] = []
     going: set[str] = set()
 
@@ -171,7 +165,7 @@ def test_a_stop_breaks_off_a_step_that_hangs(processes: int, seeds: list[int], j
     ("file", "function"),
     [("<frozen importlib._bootstrap>", "load"), ("/llvmlite/binding/executionengine.py", "notify"), ("own", "__del__")],
 )
-def test_a_stop_waits_for_what_an_error_would_damage_or_not_reach(file: str, function: str) -> None:
+def test_a_stop_waits_for_what_an_error_would_damage_or_not_reach(file, function):
     """An import that broke off cannot be made again in a notebook; errors in calls from native code are dropped."""
     scope: dict[str, Any] = {"terminate": terminate, "done": [], "sleep": time.sleep}
     exec(compile(f"def {function}():\n    terminate()\n    done.append(1)", file, "exec"), scope)

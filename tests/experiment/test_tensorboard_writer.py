@@ -1,7 +1,5 @@
 """What a run writes into TensorBoard; what its agents say is tested with them."""
 
-from __future__ import annotations
-
 import re
 import signal
 from pathlib import Path
@@ -36,7 +34,7 @@ def points(folder: RunFolder, name: str) -> list[tuple[int, float]]:
     return [(event.step, event.value) for event in series(folder).Scalars(name)]
 
 
-def test_every_series_is_listed_in_the_docs_and_every_one_that_is_listed_is_there(folder: RunFolder) -> None:
+def test_every_series_is_listed_in_the_docs_and_every_one_that_is_listed_is_there(folder):
     page = (Path(__file__).parents[2] / "docs" / "tensorboard.md").read_text()
     listed = set(re.findall(r"^\| `(\w+/\w+)`", page, re.MULTILINE))
     tags = set(series(folder).Tags()["scalars"])
@@ -44,13 +42,13 @@ def test_every_series_is_listed_in_the_docs_and_every_one_that_is_listed_is_ther
     assert all(tag.startswith("agent/") for tag in listed - tags), "those of other agents"
 
 
-def test_a_test_stands_at_the_step_at_which_it_was_made_and_says_what_the_folder_says(folder: RunFolder) -> None:
+def test_a_test_stands_at_the_step_at_which_it_was_made_and_says_what_the_folder_says(folder):
     found = [(test.steps, pytest.approx(test.success_any)) for test in folder.tests()]
     assert points(folder, "test/success_any") == found
     assert [step for step, _ in found] == [100, 200, 240]
 
 
-def test_a_run_that_was_resumed_has_the_points_of_one_that_was_not(folder: RunFolder, tmp_path: Path) -> None:
+def test_a_run_that_was_resumed_has_the_points_of_one_that_was_not(folder, tmp_path):
     def stop(event: object) -> None:
         if isinstance(event, RunTested) and event.result.steps == 200:
             signal.raise_signal(signal.SIGTERM)
@@ -61,13 +59,13 @@ def test_a_run_that_was_resumed_has_the_points_of_one_that_was_not(folder: RunFo
         assert points(resumed, name) == points(folder, name)
 
 
-def test_between_two_tests_there_are_ten_points(folder: RunFolder) -> None:
+def test_between_two_tests_there_are_ten_points(folder):
     steps = [step for step, _ in points(folder, "buffer/transitions")]
     assert sum(100 < step <= 200 for step in steps) == 10
     assert points(folder, "buffer/transitions")[-1] == (240, 240)
 
 
-def test_settings_are_written_once_for_hparams(folder: RunFolder) -> None:
+def test_settings_are_written_once_for_hparams(folder):
     content = series(folder).SummaryMetadata("_hparams_/session_start_info").plugin_data.content
     settings = HParamsPluginData.FromString(content).session_start_info.hparams
     assert settings["agent.name"].string_value == "sac"

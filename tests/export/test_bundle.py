@@ -1,11 +1,8 @@
 """Bundles: complete, readable by others, and enough to port a policy without a line of our code."""
 
-from __future__ import annotations
-
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -21,7 +18,7 @@ from karolos.records.shipped import FOLDER
 pytestmark = pytest.mark.xdist_group("bundle")
 
 
-def test_the_yaml_has_the_keys_that_leapp_s_readers_need() -> None:
+def test_the_yaml_has_the_keys_that_leapp_s_readers_need():
     insert = bundle_of("ur5_insert")
     assert (insert / "film.mp4").stat().st_size > 1000
     told = yaml.safe_load((insert / "policy.yaml").read_text())
@@ -35,7 +32,7 @@ def test_the_yaml_has_the_keys_that_leapp_s_readers_need() -> None:
 
 
 @pytest.mark.parametrize("name", ["ur5_insert", "ur5_pick"])
-def test_from_the_page_alone_a_reading_becomes_the_observation_and_the_recorded_action(name: str) -> None:
+def test_from_the_page_alone_a_reading_becomes_the_observation_and_the_recorded_action(name):
     """Reads the tables of the page as a person would, and uses neither karolos nor karolos-deploy."""
     insert = bundle_of(name)
     page = (insert / "README.md").read_text()
@@ -88,7 +85,7 @@ def test_from_the_page_alone_a_reading_becomes_the_observation_and_the_recorded_
         np.testing.assert_allclose(action[0], known["action"][step], atol=1e-4)
 
 
-def test_what_is_no_arm_and_folders_of_others_are_refused(tmp_path: Path) -> None:
+def test_what_is_no_arm_and_folders_of_others_are_refused(tmp_path):
     with pytest.raises(UsageError, match="moves an arm"):
         export_bundle(trained("sac"), tmp_path / "out", checkpoint="last")
     with pytest.raises(UsageError, match="a release within a control step"):
@@ -99,7 +96,7 @@ def test_what_is_no_arm_and_folders_of_others_are_refused(tmp_path: Path) -> Non
     assert (tmp_path / "thesis.tex").read_text() == "years of work"
 
 
-def test_the_executor_imports_neither_karolos_nor_anything_heavy() -> None:
+def test_the_executor_imports_neither_karolos_nor_anything_heavy():
     heavy = "{'karolos', 'torch', 'pydantic', 'scipy'}"
     code = f"import sys, karolos_deploy.command; print([*{heavy} & set(sys.modules)])"
     assert subprocess.check_output([sys.executable, "-c", code], text=True).strip() == "[]"

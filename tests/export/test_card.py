@@ -1,15 +1,11 @@
 """The card of an exported policy, as the hub reads it."""
 
-from __future__ import annotations
-
-from pathlib import Path
-
 import yaml
 from karolos_cli.main import app
 from support.commands import call
 
 
-def test_the_card_of_a_policy_has_the_front_matter_of_the_hub(tmp_path: Path) -> None:
+def test_the_card_of_a_policy_has_the_front_matter_of_the_hub(tmp_path):
     code, _, _ = call(app, "export", "shipped:panda_pick", "--out", str(tmp_path), "--no-onnx", "--card")
     assert code == 0
     _, front, text = (tmp_path / "README.md").read_text().split("---\n", 2)

@@ -3,7 +3,6 @@
 import json
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -28,13 +27,13 @@ def actions_of(case: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return observation, goal, action[:, 0].astype(np.int64) if discrete else action
 
 
-def test_every_agent_that_ships_is_exported_in_some_case() -> None:
+def test_every_agent_that_ships_is_exported_in_some_case():
     ships = {name for name in names("agents") if load("agents", name).__module__.startswith("karolos.")}
     assert ships == {case["agent"]["name"] for case in CASES.values()}
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_numpy_policy_acts_as_the_agent_does(case: str, tmp_path: Path) -> None:
+def test_the_numpy_policy_acts_as_the_agent_does(case, tmp_path):
     done = export_policy(trained(case), tmp_path, checkpoint="last", onnx=False)
     assert done.error < TOLERANCE
     policy = NumpyPolicy(tmp_path / "policy.npz")
@@ -47,7 +46,7 @@ def test_the_numpy_policy_acts_as_the_agent_does(case: str, tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("case", CASES)
-def test_the_onnx_model_acts_as_the_agent_does(case: str, tmp_path: Path) -> None:
+def test_the_onnx_model_acts_as_the_agent_does(case, tmp_path):
     pytest.importorskip("onnx")
     export_policy(trained(case), tmp_path, checkpoint="last")
     observation, goal, action = actions_of(case)
@@ -64,7 +63,7 @@ def test_the_onnx_model_acts_as_the_agent_does(case: str, tmp_path: Path) -> Non
     assert told == json.loads((tmp_path / "policy.json").read_text())
 
 
-def test_golden_samples_are_the_agents_own_actions_and_reach_beyond_the_clipping(tmp_path: Path) -> None:
+def test_golden_samples_are_the_agents_own_actions_and_reach_beyond_the_clipping(tmp_path):
     export_policy(trained("sac"), tmp_path, checkpoint="last", onnx=False)
     golden = np.load(tmp_path / "golden.npz")
     saved = asked(trained("sac"))[0]
@@ -76,7 +75,7 @@ def test_golden_samples_are_the_agents_own_actions_and_reach_beyond_the_clipping
     assert (np.abs((rows - policy.shift[:known]) * policy.scale[:known]) > policy.clip).any()
 
 
-def test_inputs_and_outputs_are_described_with_names_and_units(tmp_path: Path) -> None:
+def test_inputs_and_outputs_are_described_with_names_and_units(tmp_path):
     export_policy(trained("sac"), tmp_path, checkpoint="last", onnx=False)
     told = json.loads((tmp_path / "policy.json").read_text())
     assert told["observation"] == [{"name": "position", "size": 2, "unit": "1"}]
@@ -88,15 +87,13 @@ def test_inputs_and_outputs_are_described_with_names_and_units(tmp_path: Path) -
     assert len(labels) == 4, "one for each bit"
 
 
-def test_a_model_of_another_policy_does_not_stay_beside_the_new_arrays(tmp_path: Path) -> None:
+def test_a_model_of_another_policy_does_not_stay_beside_the_new_arrays(tmp_path):
     (tmp_path / "policy.onnx").write_bytes(b"another")
     done = export_policy(trained("td3"), tmp_path, checkpoint="last", onnx=False)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(path.name for path in done.files)
 
 
-def test_without_onnx_the_numpy_files_are_written_unless_onnx_is_asked_for(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_onnx_the_numpy_files_are_written_unless_onnx_is_asked_for(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "onnx", None)
     with pytest.raises(MachineError, match="--no-onnx"):
         export_policy(trained("td3"), tmp_path / "out", onnx=True)
@@ -105,21 +102,19 @@ def test_without_onnx_the_numpy_files_are_written_unless_onnx_is_asked_for(
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["golden.npz", "policy.json", "policy.npz"]
 
 
-def test_a_checkpoint_that_is_not_there_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_that_is_not_there_is_refused(tmp_path):
     with pytest.raises(RunError, match="never"):
         export_policy(trained("td3"), tmp_path / "out", checkpoint="never", onnx=False)
     assert not (tmp_path / "out").exists()
 
 
-def test_an_agent_that_does_not_say_how_it_acts_is_refused() -> None:
+def test_an_agent_that_does_not_say_how_it_acts_is_refused():
     saved = asked(trained("sac"), 1)[0]
     with pytest.raises(UsageError, match="SAC cannot be exported"):
         Agent.deployed(saved.agent)
 
 
-def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(tmp_path, monkeypatch):
     folder = trained("td3")
     agent = type(asked(folder, 1)[0].agent)
     right = agent.deployed
@@ -137,7 +132,7 @@ def test_a_policy_that_would_act_otherwise_or_is_no_number_is_refused(
         export_policy(folder, tmp_path, checkpoint="last", onnx=False)
 
 
-def test_layers_that_do_not_fit_are_refused() -> None:
+def test_layers_that_do_not_fit_are_refused():
     layer = Layer(np.zeros((2, 3), np.float32), np.zeros(2, np.float32))
     inputs = np.zeros(4, np.float32)
     with pytest.raises(ValueError, match="do not fit layers"):

@@ -26,7 +26,7 @@ def aimed(arm: Arm) -> Pose:
 
 
 @pytest.mark.parametrize("case", CASES, ids=" ".join)
-def test_an_action_of_one_moves_the_robot_by_the_scale_of_the_export(case: tuple[str, ...]) -> None:
+def test_an_action_of_one_moves_the_robot_by_the_scale_of_the_export(case):
     robot, control, *others = case
     given = [f"robot={robot}", f"robot.control={control}", "robot.reset_noise=0", "task.threshold=0.001", *others]
     with used(environment_of(load_spec("panda_reach", given))) as environment:
@@ -61,7 +61,7 @@ def stepped(case: list[str], name: str = "panda_reach") -> AbstractContextManage
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_joints_keep_the_limits_and_speeds_of_the_export_and_reach_them(robot: str) -> None:
+def test_joints_keep_the_limits_and_speeds_of_the_export_and_reach_them(robot):
     with stepped([f"robot={robot}", "robot.control=joint", "robot.joint_step=0.5"]) as environment:
         arm = environment.robot
         joints = arm.facts()["joints"]
@@ -79,7 +79,7 @@ def test_joints_keep_the_limits_and_speeds_of_the_export_and_reach_them(robot: s
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_actions_lead_to_the_faces_of_the_workspace_of_the_export_and_no_farther(robot: str) -> None:
+def test_actions_lead_to_the_faces_of_the_workspace_of_the_export_and_no_farther(robot):
     with stepped([f"robot={robot}", "robot.control=cartesian", "robot.base=centred"]) as environment:
         arm = environment.robot
         facts = arm.facts()
@@ -98,7 +98,7 @@ def test_actions_lead_to_the_faces_of_the_workspace_of_the_export_and_no_farther
 
 
 @pytest.mark.parametrize("robot", ARMS)
-def test_the_gripper_of_the_export_opens_as_wide_as_it_says(robot: str) -> None:
+def test_the_gripper_of_the_export_opens_as_wide_as_it_says(robot):
     with stepped([f"robot={robot}", "robot.control=cartesian"], "panda_pick") as environment:
         arm, apart = environment.robot, {}
         told = arm.facts()["gripper"]
@@ -111,7 +111,7 @@ def test_the_gripper_of_the_export_opens_as_wide_as_it_says(robot: str) -> None:
         assert abs(apart["open"] - apart["closed"]) == pytest.approx(told["width"], abs=2e-3)
 
 
-def test_the_spring_of_the_export_presses_with_its_stiffness_times_its_error() -> None:
+def test_the_spring_of_the_export_presses_with_its_stiffness_times_its_error():
     given = ["robot.control=impedance", "robot.error_limit=0.02"]
     with stepped(given, "panda_push") as environment:
         arm = environment.robot

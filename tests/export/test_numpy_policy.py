@@ -33,7 +33,7 @@ def exported(case: str, folder: Path) -> Path:
     return folder
 
 
-def test_its_file_alone_with_numpy_is_enough(tmp_path: Path) -> None:
+def test_its_file_alone_with_numpy_is_enough(tmp_path):
     exported("dqn_dueling", tmp_path)
     alone = tmp_path / "alone"
     alone.mkdir()
@@ -42,9 +42,7 @@ def test_its_file_alone_with_numpy_is_enough(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("case", ["sac", "ppo", "dqn_dueling"])
-def test_the_code_in_the_documentation_acts_as_the_agent_does(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_code_in_the_documentation_acts_as_the_agent_does(case, tmp_path, monkeypatch):
     blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)
     assert len(blocks) == 3
     monkeypatch.chdir(exported(case, tmp_path))
@@ -55,9 +53,7 @@ def test_the_code_in_the_documentation_acts_as_the_agent_does(
         np.testing.assert_allclose(names["action"], expected, atol=1e-5)
 
 
-def test_the_onnx_code_in_the_documentation_acts_as_the_agent_does(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_onnx_code_in_the_documentation_acts_as_the_agent_does(tmp_path, monkeypatch):
     pytest.importorskip("onnx")
     pytest.importorskip("onnxruntime")
     export_policy(trained("sac"), tmp_path, checkpoint="last")
@@ -67,7 +63,7 @@ def test_the_onnx_code_in_the_documentation_acts_as_the_agent_does(
     np.testing.assert_allclose(names["action"], np.load("golden.npz")["action"], atol=1e-5)
 
 
-def test_inputs_of_another_size_are_refused(tmp_path: Path) -> None:
+def test_inputs_of_another_size_are_refused(tmp_path):
     policy = NumpyPolicy(exported("sac", tmp_path) / "policy.npz")
     with pytest.raises(ValueError, match="have 3 numbers, the policy takes 4"):
         policy(np.zeros(3), np.zeros(0))
@@ -76,7 +72,7 @@ def test_inputs_of_another_size_are_refused(tmp_path: Path) -> None:
             policy(np.zeros(observation), np.zeros(goal))
 
 
-def test_a_file_of_another_format_is_refused(tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_refused(tmp_path):
     np.savez(tmp_path / "newer.npz", format=np.int64(4))
     np.savez(tmp_path / "other.npz", weights=np.zeros(3))
     for name, told in (("newer", "format 4"), ("other", "format None")):

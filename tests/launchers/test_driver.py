@@ -1,7 +1,5 @@
 """The driver: runs through a launcher, followed in their folders."""
 
-from __future__ import annotations
-
 import json
 import platform
 import shutil
@@ -42,7 +40,7 @@ def drive(
     return done, events
 
 
-def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_process(tmp_path: Path) -> None:
+def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_process(tmp_path):
     here: list[RunEvent] = []
     Experiment(toy()).run(tmp_path / "here", listener=here.append)
     _, there = drive(tmp_path / "there", FakeLauncher())
@@ -56,7 +54,7 @@ def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_proce
     ]
 
 
-def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path: Path) -> None:
+def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path):
     class Waiting(FakeLauncher):
         def start(self, folder: Path) -> None:
             with Store(Store.default_url(tmp_path)) as store:
@@ -66,7 +64,7 @@ def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path: Path) -> No
     drive(tmp_path, Waiting())
 
 
-def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path: Path) -> None:
+def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path):
     job, _ = drive(tmp_path, FakeLauncher(), spec=toy(seeds=[0, 1]))
     with Store(Store.default_url(tmp_path)) as store:
         assert {run.run for run in store.runs()} == {summary.run for summary in job.summaries.values()}
@@ -75,7 +73,7 @@ def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path: Path
     assert [len(tests) for tests in job.results().values()] == [2, 2]
 
 
-def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path: Path) -> None:
+def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path):
     launcher = FakeLauncher(True, False)
     job, events = drive(tmp_path, launcher, retries=1)
     assert len(launcher.started) == 2
@@ -84,14 +82,14 @@ def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path:
     assert sum(isinstance(event, RunEnded) for event in events) == 1
 
 
-def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tmp_path: Path) -> None:
+def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tmp_path):
     job, events = drive(tmp_path, FakeLauncher(True), spec=toy(seeds=[0, 1]))
     assert [job.summaries[seed].state for seed in (0, 1)] == ["lost", "finished"]
     assert job.summaries[0].error == job.error == "its process died"
     assert [event.error for event in events if isinstance(event, RunEnded)] == ["its process died", None]
 
 
-def test_a_run_that_is_removed_while_it_waits_is_lost_and_the_other_seeds_go_on(tmp_path: Path) -> None:
+def test_a_run_that_is_removed_while_it_waits_is_lost_and_the_other_seeds_go_on(tmp_path):
     removed = created(TOY, tmp_path)
 
     class Removing(FakeLauncher):
@@ -104,7 +102,7 @@ def test_a_run_that_is_removed_while_it_waits_is_lost_and_the_other_seeds_go_on(
     assert "was removed while it waited" in str(job.error)
 
 
-def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_path: Path) -> None:
+def test_a_lost_run_stops_the_others_of_a_job_whose_runs_belong_together(tmp_path):
     launcher = FakeLauncher(True)
     job, _ = drive(tmp_path, launcher, spec=toy(seeds=[0, 1]), together=True)
     assert (job.halted, list(job.summaries)) == ("another run of this trial failed", [0])
@@ -120,7 +118,7 @@ def stopped(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(stopped: Path) -> None:
+def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(stopped):
     launcher = FakeLauncher(True, False)
     job, _ = drive(stopped, launcher, existing="resume", retries=1)
     assert len(launcher.started) == 2
@@ -128,9 +126,7 @@ def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(sto
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
-    stopped: Path, monkeypatch: pytest.MonkeyPatch, blind: bool
-) -> None:
+def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(stopped, monkeypatch, blind):
     launcher = FakeLauncher(blind=blind)
     monkeypatch.setattr(provenance, "software", lambda: {"versions": provenance.versions() | {"torch": "1.0"}})
     job, events = drive(stopped, launcher, existing="resume", retries=3)
@@ -143,7 +139,7 @@ def test_a_process_that_refuses_to_resume_a_stopped_run_says_why(
 
 
 @pytest.mark.parametrize(("existing", "started"), [("ignore", 2), ("skip", 1), ("resume", 1)])
-def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, started: int) -> None:
+def test_existing_runs_are_used_as_asked(tmp_path, existing, started):
     drive(tmp_path, FakeLauncher())
     created(TOY, tmp_path, 1)  # its process never started
     launcher = FakeLauncher()
@@ -153,21 +149,21 @@ def test_existing_runs_are_used_as_asked(tmp_path: Path, existing: Existing, sta
     assert len(list(tmp_path.glob("toy-s*"))) == 2 + (existing == "ignore") + (existing != "resume")
 
 
-def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path: Path) -> None:
+def test_a_run_that_is_halted_before_it_begins_is_not_executed(tmp_path):
     folder = created(TOY, tmp_path)
     folder.stop.write_text("pruned")
     assert execute_folder(folder.path, 1) is None
     assert (folder.state().state, folder.events()) == ("created", ())
 
 
-def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path: Path) -> None:
+def test_a_damaged_folder_is_a_problem_and_not_an_end(tmp_path):
     folder = created(TOY, tmp_path)
     (folder.path / "resolved.json").unlink()
     assert "resolved.json" in str(execute_folder(folder.path, 1))
     assert "not a run folder" in str(execute_folder(tmp_path / "missing", 1))
 
 
-def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: Path) -> None:
+def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path):
     folder = created(TOY, tmp_path)
     launch = provenance.software()
     write_json(folder.launch, launch | {"versions": launch["versions"] | {"torch": "1.0"}})
@@ -180,7 +176,7 @@ def test_a_process_with_other_software_refuses_and_says_what_differs(tmp_path: P
     assert json.loads(folder.launch.read_text())["host"] == platform.node()
 
 
-def test_only_what_is_new_and_whole_is_told(tmp_path: Path) -> None:
+def test_only_what_is_new_and_whole_is_told(tmp_path):
     folder = created(TOY, tmp_path)
     folder.event("warning", error="old", consequence="none")
     [task] = RunJob(toy(), Home(tmp_path, Store.default_url(tmp_path), "resume")).tasks()

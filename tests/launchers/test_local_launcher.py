@@ -1,7 +1,5 @@
 """Runs in processes of this machine."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -45,7 +43,7 @@ def prepare(launcher: LocalLauncher) -> None:
 
 
 @pytest.mark.usefixtures("real_processes")
-def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path: Path) -> None:
+def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path):
     first, stopped, killed = (new_run(tmp_path, seed, steps) for seed, steps in enumerate((40, 10**6, 10**6)))
     before = set(child_processes())
     with LocalLauncher(LocalLauncher.Settings()) as launcher:
@@ -70,7 +68,7 @@ def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_w
     assert set(child_processes()) <= before
 
 
-def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_shell_of_ray(tmp_path: Path) -> None:
+def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_shell_of_ray(tmp_path):
     folder = new_run(tmp_path, steps=10**6)
     with subprocess.Popen([sys.executable, "-c", DRIVER, str(folder.path)]) as driver:
         wait_for(folder.tests)
@@ -80,7 +78,7 @@ def test_the_end_of_the_driver_stops_its_runs_with_a_checkpoint_also_behind_the_
     assert (folder.checkpoints / "last" / "manifest.json").is_file()
 
 
-def test_a_process_that_ends_before_it_is_ready_is_replaced(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_process_that_ends_before_it_is_ready_is_replaced(tmp_path, monkeypatch):
     once = f'mkdir {tmp_path}/once 2>/dev/null && kill -9 $$; exec "$@"'
     monkeypatch.setattr("karolos.launchers.local.COMMAND", ("sh", "-c", once, "run", *COMMAND))
     with LocalLauncher(LocalLauncher.Settings()) as launcher:
@@ -88,9 +86,7 @@ def test_a_process_that_ends_before_it_is_ready_is_replaced(tmp_path: Path, monk
         assert launcher.room(1) == 1
 
 
-def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.launchers.local.COMMAND", (sys.executable, "-c", "raise SystemExit(3)"))
     with (
         LocalLauncher(LocalLauncher.Settings()) as launcher,

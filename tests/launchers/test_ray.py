@@ -1,7 +1,5 @@
 """What the Ray launcher refuses. tests/torture/test_ray_cluster.py has runs on several machines."""
 
-from __future__ import annotations
-
 import signal
 import sys
 from pathlib import Path
@@ -14,7 +12,7 @@ from karolos.errors import MachineError, UsageError
 from karolos.launchers.ray import RayLauncher, hand_to_process
 
 
-def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours() -> None:
+def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours():
     pytest.importorskip("ray")
     before = signal.getsignal(signal.SIGTERM)
     with pytest.raises(UsageError, match=r"launcher.cpus: a run needs 999 CPUs, and no machine"):
@@ -22,18 +20,18 @@ def test_more_cores_than_any_machine_has_are_refused_and_signals_stay_ours() -> 
     assert signal.getsignal(signal.SIGTERM) is before
 
 
-def test_a_cluster_that_does_not_answer_is_named() -> None:
+def test_a_cluster_that_does_not_answer_is_named():
     pytest.importorskip("ray")
     for address in ("127.0.0.1:1", "ray://127.0.0.1:1"):
         with pytest.raises(MachineError, match=f"no Ray cluster answers at {address}: .* refused"):
             RayLauncher(RayLauncher.Settings(address=address))
 
 
-def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path) -> None:
+def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path):
     assert "cannot see" in str(hand_to_process(str(tmp_path / "runs" / "toy"), 1))
 
 
-def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cluster_that_is_gone_is_an_error_before_ray_ends_the_process(monkeypatch):
     ray = MagicMock()
     ray.nodes.return_value = [{"Alive": True, "Resources": {"CPU": 1.0}}]
     ray.get_runtime_context().gcs_address = "127.0.0.1:1"

@@ -1,7 +1,5 @@
 """Runs as jobs of a stand-in for Slurm (support/fake_slurm.py): the script, the requeue, a second driver."""
 
-from __future__ import annotations
-
 import os
 import random
 import signal
@@ -50,9 +48,7 @@ def process_of(task: Path) -> int | None:
     return None
 
 
-def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undisturbed_one(
-    tmp_path: Path, slurm: Path
-) -> None:
+def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undisturbed_one(tmp_path, slurm):
     runs = tmp_path / "runs"
 
     def reach_time_limit() -> None:
@@ -71,7 +67,7 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
     assert [(test.steps, test.returns) for test in tests] == [(test.steps, test.returns) for test in same]
 
 
-def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Path) -> None:
+def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path, slurm):
     folder = created(TOY | {"training": TOY["training"] | {"steps": 10**6}}, tmp_path / "runs")
     first, second = SlurmLauncher(SlurmLauncher.Settings()), SlurmLauncher(SlurmLauncher.Settings())
     first.start(folder.path)
@@ -85,8 +81,8 @@ def test_a_second_driver_follows_the_jobs_of_the_first(tmp_path: Path, slurm: Pa
 
 
 def test_a_command_that_gives_up_leaves_the_jobs_alone_and_odd_answers_of_squeue_cost_no_run(
-    tmp_path: Path, slurm: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+    tmp_path, slurm, monkeypatch
+):
     troubles = tmp_path / "troubles"
     troubles.write_text("fine\nfail")
     with monkeypatch.context() as patch:
@@ -103,13 +99,13 @@ def test_a_command_that_gives_up_leaves_the_jobs_alone_and_odd_answers_of_squeue
     assert not (tmp_path / "cancelled").exists()
 
 
-def test_output_of_sbatch_without_a_number_is_shown(tmp_path: Path, slurm: Path) -> None:
+def test_output_of_sbatch_without_a_number_is_shown(tmp_path, slurm):
     (tmp_path / "banner").write_text("Welcome to the cluster")
     with pytest.raises(MachineError, match="sbatch did not print the number of a job, but 'Welcome to the cluster'"):
         Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs")
 
 
-def test_without_slurm_the_missing_command_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_slurm_the_missing_command_is_named(monkeypatch):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(MachineError, match="squeue is not installed"):
         SlurmLauncher(SlurmLauncher.Settings())

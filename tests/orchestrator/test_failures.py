@@ -81,7 +81,7 @@ def interrupt() -> None:
     raise KeyboardInterrupt
 
 
-def test_an_interrupt_of_an_environment_is_told_by_its_worker() -> None:
+def test_an_interrupt_of_an_environment_is_told_by_its_worker():
     executor, answer = build_environments(pickle.dumps(interrupt), 1, ExitStack(), "worker 0")
     ((_, error),) = pickle.loads(answer[1:])
     assert executor is None

@@ -1,11 +1,8 @@
 """What every layout of the local orchestrator keeps, and what actors of Ray keep."""
 
-from __future__ import annotations
-
 import sys
 from collections.abc import Iterator
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,7 +14,7 @@ from support import rig, toy_runs
 from support.fake_environments import DIE, END, FINE, HANG, RAISE, SLOW, Fake
 from support.layouts import IN_PROCESS, THREADS, TWO, every_layout, make, reset, step
 
-from karolos.core import Field, Layout, Orchestrator, Received, Signature, Step
+from karolos.core import Field, Layout, Received, Signature, Step
 from karolos.environments.build import build_environment
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, PluginError, RunError, WorkerError
@@ -75,7 +72,7 @@ def assert_equal(received: Step, expected: list[Step]) -> None:
         np.testing.assert_array_equal(ours, np.array(theirs, ours.dtype), err_msg=name)
 
 
-def test_seeds_and_actions_alone_determine_every_step(orchestrator: Orchestrator) -> None:
+def test_seeds_and_actions_alone_determine_every_step(orchestrator):
     """Against bare environments; the ones that finish are reset, so that environments stand at different steps."""
     generator = np.random.default_rng(0)
     bare = [Toy(TOY) for _ in range(SIZE)]
@@ -96,7 +93,7 @@ def test_seeds_and_actions_alone_determine_every_step(orchestrator: Orchestrator
             expected[index] = bare[index].step(action)
 
 
-def test_ids_in_any_order_keep_their_seeds_and_actions(orchestrator: Orchestrator) -> None:
+def test_ids_in_any_order_keep_their_seeds_and_actions(orchestrator):
     large = 2**63 - 25
     bare = {index: Toy(TOY) for index in (1, 2, 5)}
     orchestrator.reset([5, 1, 2], [large, 10, 20])
@@ -110,7 +107,7 @@ def test_ids_in_any_order_keep_their_seeds_and_actions(orchestrator: Orchestrato
     assert_equal(received.step, [bare[1].step(actions[2]), bare[2].step(actions[0]), bare[5].step(actions[1])])
 
 
-def test_an_episode_that_is_over_is_not_reset_by_itself(orchestrator: Orchestrator) -> None:
+def test_an_episode_that_is_over_is_not_reset_by_itself(orchestrator):
     orchestrator.reset([3], [1])
     orchestrator.receive()
     for _ in range(TOY.max_steps):
@@ -122,7 +119,7 @@ def test_an_episode_that_is_over_is_not_reset_by_itself(orchestrator: Orchestrat
         orchestrator.receive()
 
 
-def test_what_is_received_belongs_to_the_caller(orchestrator: Orchestrator) -> None:
+def test_what_is_received_belongs_to_the_caller(orchestrator):
     orchestrator.reset(range(SIZE), range(SIZE))
     first = orchestrator.receive().step
     kept = first.observation.copy()
@@ -135,7 +132,7 @@ def test_what_is_received_belongs_to_the_caller(orchestrator: Orchestrator) -> N
     np.testing.assert_array_equal(orchestrator.receive().step.observation, expected)
 
 
-def test_nothing_under_way_gives_nothing_and_wrong_actions_are_refused(orchestrator: Orchestrator) -> None:
+def test_nothing_under_way_gives_nothing_and_wrong_actions_are_refused(orchestrator):
     orchestrator.step([], np.zeros((0, 3), np.float32))
     with pytest.raises(ValueError, match=r"take actions of shape \(2, 3\), not \(2, 2\)"):
         orchestrator.step([0, 1], np.zeros((2, 2), np.float32))
@@ -151,7 +148,7 @@ def test_nothing_under_way_gives_nothing_and_wrong_actions_are_refused(orchestra
     assert received.step.observation.shape == (0, 3)
 
 
-def test_close_is_final_and_safe_to_repeat(orchestrator: Orchestrator) -> None:
+def test_close_is_final_and_safe_to_repeat(orchestrator):
     assert orchestrator.size == SIZE
     assert orchestrator.signature.observation == Toy(TOY).signature.observation
     orchestrator.reset([0], [0])
@@ -162,7 +159,7 @@ def test_close_is_final_and_safe_to_repeat(orchestrator: Orchestrator) -> None:
             use()
 
 
-def test_physics_plays_the_same_everywhere() -> None:
+def test_physics_plays_the_same_everywhere():
     seen = []
     for layout in ((0, 1, 2), (2, 1, 1), (1, 2, 1)):
         with make(layout, rig.recipe("reach"), build_environment) as orchestrator:
@@ -185,7 +182,7 @@ def test_physics_plays_the_same_everywhere() -> None:
 
 
 @in_process_and_not
-def test_parameters_are_of_the_running_episode_and_measures_of_the_one_that_ended_last(layout: Any) -> None:
+def test_parameters_are_of_the_running_episode_and_measures_of_the_one_that_ended_last(layout):
     with make(layout) as orchestrator:
         orchestrator.reset([0, 1, 2, 3], [10, 20, 30, 40])
         orchestrator.receive()
@@ -200,7 +197,7 @@ def test_parameters_are_of_the_running_episode_and_measures_of_the_one_that_ende
 
 
 @in_process_and_not
-def test_an_environment_may_keep_its_actions_and_a_discrete_one_gets_an_index(layout: Any) -> None:
+def test_an_environment_may_keep_its_actions_and_a_discrete_one_gets_an_index(layout):
     """An action delay keeps them; the memory they came in is overwritten by the next."""
     with make(layout) as orchestrator:
         reset(orchestrator)
@@ -217,7 +214,7 @@ def test_an_environment_may_keep_its_actions_and_a_discrete_one_gets_an_index(la
 
 
 @every_layout
-def test_every_answer_arrives_once_and_the_least_number_is_kept(layout: Any) -> None:
+def test_every_answer_arrives_once_and_the_least_number_is_kept(layout):
     with make(layout) as orchestrator:
         reset(orchestrator)
         step(orchestrator, SLOW, FINE, FINE, FINE)
@@ -232,7 +229,7 @@ def test_every_answer_arrives_once_and_the_least_number_is_kept(layout: Any) -> 
 
 
 @pytest.mark.parametrize("layout", [TWO, THREADS], ids=["2", "threads"])
-def test_who_is_ready_goes_on_while_others_are_busy(layout: Any) -> None:
+def test_who_is_ready_goes_on_while_others_are_busy(layout):
     with make(layout) as orchestrator:
         reset(orchestrator)
         step(orchestrator, SLOW, FINE, FINE, FINE)
@@ -246,7 +243,7 @@ def test_who_is_ready_goes_on_while_others_are_busy(layout: Any) -> None:
         assert orchestrator.receive().environment.size == 4
 
 
-def test_a_failure_counts_as_an_answer() -> None:
+def test_a_failure_counts_as_an_answer():
     """The loop has to act on it; waiting for others instead could wait for ever."""
     with make(TWO, failures=1) as orchestrator:
         reset(orchestrator)
@@ -257,7 +254,7 @@ def test_a_failure_counts_as_an_answer() -> None:
 
 
 @every_layout
-def test_the_policy_behind_each_action_comes_back_with_its_step(layout: Any) -> None:
+def test_the_policy_behind_each_action_comes_back_with_its_step(layout):
     with make(layout) as orchestrator:
         orchestrator.reset(range(4), range(4))
         assert orchestrator.receive().updates.tolist() == [-1] * 4
@@ -332,13 +329,13 @@ def make_on_ray(recipe: str = "", **settings: float) -> Ray:
     return Ray(chosen, partial(Fake, recipe))
 
 
-def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_ray_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "ray", None)
     with pytest.raises(MachineError, match=r"Ray is not installed; pip install 'karolos\[ray\]'"):
         Ray(Ray.Settings(), partial(Fake, ""))
 
 
-def test_a_worker_on_ray_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again() -> None:
+def test_a_worker_on_ray_that_dies_or_hangs_is_replaced_and_an_environment_that_raises_is_built_again():
     with make_on_ray(time_limit=8.0) as orchestrator:
         pids = reset(orchestrator)
         step(orchestrator, FINE, RAISE, FINE, DIE)
@@ -363,12 +360,12 @@ def test_a_worker_on_ray_that_dies_or_hangs_is_replaced_and_an_environment_that_
         assert orchestrator.parameters([3])[:, 0].tolist() == [3]
 
 
-def test_an_environment_on_ray_that_cannot_be_built_is_an_error_that_names_it() -> None:
+def test_an_environment_on_ray_that_cannot_be_built_is_an_error_that_names_it():
     with pytest.raises(PluginError, match="the mesh is missing"):
         make_on_ray("complain")
 
 
-def test_a_run_with_environments_on_ray_equals_one_in_this_process(tmp_path: Path) -> None:
+def test_a_run_with_environments_on_ray_equals_one_in_this_process(tmp_path):
     assert spec_from_dict(ON_RAY).hash() == spec_from_dict(toy_runs.TOY).hash()
     pytest.importorskip("ray")
     (one,) = Experiment(ON_RAY).run(tmp_path / "ray").runs

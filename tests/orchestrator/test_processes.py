@@ -72,24 +72,6 @@ print("the environment is as it was:", dict(os.environ) == before)
     assert output.splitlines() == ["the script runs", seen, "main is back: True", "the environment is as it was: True"]
 
 
-def test_building_a_robot_and_task_imports_no_torch(tmp_path):
-    output = run(
-        tmp_path,
-        """
-from support.rig import recipe
-from karolos.environments.build import build_environment
-
-panda = recipe("reach")
-build_environment(panda).reset(0)
-print("mujoco" in sys.modules, "torch" in sys.modules)
-with Local(Local.Settings(), partial(build_environment, panda)) as orchestrator:
-    orchestrator.reset([0], [0])
-    orchestrator.receive()
-""",
-    )
-    assert output == "True False\n"
-
-
 @pytest.mark.parametrize("first", ["", "import weakref\nweakref.finalize(weakref.finalize, print)\n"])
 def test_a_program_that_never_closes_ends(tmp_path, first):
     """Also when something else was the first to ask for clean-up at exit; it must not decide the order."""

@@ -1,7 +1,5 @@
 """The orchestrator as a vector environment of gymnasium: what SyncVectorEnv gives, from worker processes."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 
@@ -47,7 +45,7 @@ def assert_same(own: Any, peer: Any, where: str = "") -> None:
         ("PandaPickPlace-v2", 0, {"max_steps": 2, "actions": "discrete"}),
     ],
 )
-def test_every_answer_is_that_of_gymnasiums_own(mode: str, name: str, processes: int, settings: dict[str, Any]) -> None:
+def test_every_answer_is_that_of_gymnasiums_own(mode, name, processes, settings):
     own = envs(name, processes=processes, autoreset_mode=mode, **settings)
     peer = envs(name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **settings)
     assert (own.observation_space, own.action_space) == (peer.observation_space, peer.action_space)
@@ -67,7 +65,7 @@ def test_every_answer_is_that_of_gymnasiums_own(mode: str, name: str, processes:
     peer.close()
 
 
-def test_wrappers_and_policies_take_them() -> None:
+def test_wrappers_and_policies_take_them():
     spec = karolos.make("panda_reach").spec
     assert spec is not None
     made: Any = gymnasium.make_vec(spec, num_envs=2, processes=0)
@@ -90,12 +88,12 @@ def test_wrappers_and_policies_take_them() -> None:
         ({"contrl": "joint"}, "did you mean 'control'"),
     ],
 )
-def test_what_makes_no_sense_is_refused(settings: dict[str, Any], told: str) -> None:
+def test_what_makes_no_sense_is_refused(settings, told):
     with pytest.raises(UsageError, match=told):
         envs(**settings)
 
 
-def test_a_reset_is_asked_for_and_wrong_masks_seeds_and_actions_are_refused() -> None:
+def test_a_reset_is_asked_for_and_wrong_masks_seeds_and_actions_are_refused():
     together = envs(processes=0, max_steps=2, autoreset_mode="Disabled")
     actions = np.zeros((3, 3), np.float32)
     for call in (lambda: together.step(actions), lambda: together.reset(options={"reset_mask": actions[0] == 1})):
@@ -113,7 +111,7 @@ def test_a_reset_is_asked_for_and_wrong_masks_seeds_and_actions_are_refused() ->
     together.close()
 
 
-def test_after_a_lost_worker_all_begin_again() -> None:
+def test_after_a_lost_worker_all_begin_again():
     together = envs(processes=2)
     actions = np.zeros((3, 3), np.float32)
     first = together.reset(seed=0)[0]

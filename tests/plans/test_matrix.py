@@ -1,7 +1,5 @@
 """A matrix of transfers: what is run, what is refused, and that nothing is run twice."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import signal
@@ -38,7 +36,7 @@ def numbers(found: Matrix) -> list[object]:
     return [plain(row) for row in transfer_report(found).rows()]
 
 
-def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_policy(undisturbed: Matrix) -> None:
+def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_policy(undisturbed):
     sources, tuned = undisturbed.sources, undisturbed.fine_tuned
     assert {label: list(runs) for label, runs in sources.items()} == {"fast": [0, 1], "slow": [0, 1]}
     assert {pair: list(runs) for pair, runs in tuned.items()} == {("fast", "slow"): [0, 1], ("slow", "fast"): [0, 1]}
@@ -56,13 +54,13 @@ def test_every_source_is_an_ordinary_run_and_fine_tuning_starts_from_its_best_po
         assert list(check(store, runs_folder)) == []
 
 
-def test_zero_shot_tests_are_those_of_karolos_test(undisturbed: Matrix) -> None:
+def test_zero_shot_tests_are_those_of_karolos_test(undisturbed):
     folder, found = undisturbed.sources["fast"][1], undisturbed.zero_shot["fast", "slow"][1]
     assert folder.transfers().rows == (found,)
     assert (found.overrides, found.checkpoint, found.seed) == (("environment.speed=0.15",), "best", 1_000_000)
 
 
-def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed: Matrix) -> None:
+def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed):
     runs = undisturbed.folder.parents[1]
     with pytest.raises(UsageError, match=r"matrix line exists: 4 of 4 sources are finished; --resume continues"):
         run_matrix(runs)
@@ -73,9 +71,7 @@ def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed
     assert numbers(again) == numbers(undisturbed)
 
 
-def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(
-    undisturbed: Matrix, tmp_path: Path
-) -> None:
+def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(undisturbed, tmp_path):
     runs = tmp_path / "runs"
     shutil.copytree(undisturbed.folder.parents[1], runs)
     source = RunFolder.open(runs / undisturbed.sources["fast"][0].id)
@@ -87,9 +83,7 @@ def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_tra
     assert (outcome.exit_code, started) == (0, [])
 
 
-def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(
-    undisturbed: Matrix, tmp_path: Path
-) -> None:
+def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(undisturbed, tmp_path):
     code = FORKS + "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
     killed_when(
         lambda: list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")),
@@ -104,7 +98,7 @@ def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_test_whose_process_died_is_played_again_once(undisturbed: Matrix, tmp_path: Path, blind: bool) -> None:
+def test_a_test_whose_process_died_is_played_again_once(undisturbed, tmp_path, blind):
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     for seed in (0, 1):
         (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / TRANSFERS).unlink()
@@ -120,7 +114,7 @@ def test_a_test_whose_process_died_is_played_again_once(undisturbed: Matrix, tmp
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_test_that_cannot_be_played_says_why(undisturbed: Matrix, tmp_path: Path) -> None:
+def test_a_test_that_cannot_be_played_says_why(undisturbed, tmp_path):
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / TRANSFERS).unlink()
     with pytest.MonkeyPatch.context() as patch:
@@ -132,7 +126,7 @@ def test_a_test_that_cannot_be_played_says_why(undisturbed: Matrix, tmp_path: Pa
     assert "the source of karolos is another one" in problem
 
 
-def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: Matrix, tmp_path: Path) -> None:
+def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed, tmp_path):
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     results = [RunFolder.open(runs / one.id).path / TRANSFERS for one in undisturbed.sources["fast"].values()]
     for path in results:
@@ -151,7 +145,7 @@ def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed: Matrix, tmp
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed: Matrix, tmp_path: Path) -> None:
+def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed, tmp_path):
     runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
     folder = RunFolder.open(runs / undisturbed.sources["slow"][1].path.name)
     shutil.rmtree(folder.checkpoints / "best")
@@ -177,14 +171,14 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
         (["transfer.fine_tune.testing.episodes=5"], ["fine_tune cannot change testing.episodes"]),
     ],
 )
-def test_a_matrix_that_makes_no_sense_is_an_invalid_spec(overrides: list[str], words: list[str]) -> None:
+def test_a_matrix_that_makes_no_sense_is_an_invalid_spec(overrides, words):
     with pytest.raises(SpecError) as caught:
         line(*overrides)
     assert len(caught.value.problems) == 1
     assert all(word in str(caught.value) for word in words), caught.value
 
 
-def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path: Path) -> None:
+def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path):
     path = tmp_path / "line.yaml"
     path.write_text(
         "environment: toy\nagent: sac\ntransfer:\n  variants: {a: {environment.speed: 0.1}, b: {environment.sped: 2}}\n"
@@ -193,7 +187,7 @@ def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path: Path) -> None:
         Matrix(load_spec(path))
 
 
-def test_a_setting_that_transfers_do_not_change_is_shown_where_it_stands(tmp_path: Path) -> None:
+def test_a_setting_that_transfers_do_not_change_is_shown_where_it_stands(tmp_path):
     path = tmp_path / "line.yaml"
     path.write_text(
         "environment: toy\nagent: sac\n"
@@ -215,7 +209,7 @@ def test_a_setting_that_transfers_do_not_change_is_shown_where_it_stands(tmp_pat
         (["transfer=null"], "has no transfer"),
     ],
 )
-def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, overrides: list[str], words: str) -> None:
+def test_what_cannot_work_is_refused_before_anything_runs(tmp_path, overrides, words):
     with pytest.raises(UsageError) as caught:
         run_matrix(tmp_path / "runs", *overrides)
     assert words in str(caught.value)
@@ -223,7 +217,7 @@ def test_what_cannot_work_is_refused_before_anything_runs(tmp_path: Path, overri
     assert not (tmp_path / "runs").exists()
 
 
-def test_joint_control_is_refused_in_one_line_that_says_what_could_be_done() -> None:
+def test_joint_control_is_refused_in_one_line_that_says_what_could_be_done():
     changes = {"robot": {"name": "panda", "control": "joint"}, "task": "reach", "environment": "robot_task"}
     spec = spec_from_dict({**LINE, **changes, "transfer": {"robots": ["panda", "ur5"]}})
     with pytest.raises(UsageError, match=r"policy of panda cannot act on ur5: .*set robot\.control=cartesian"):
@@ -237,7 +231,7 @@ def arms(file: str) -> Matrix:
     return Matrix(spec_from_dict({**LINE, **part, "transfer": {"variants": variants, "sources": ["ur5"]}}))
 
 
-def test_a_target_that_cannot_be_used_is_named_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_target_that_cannot_be_used_is_named_and_the_others_go_on(tmp_path):
     matrix = arms(str(tmp_path / "none.urdf"))
     matrix.check()
     assert matrix.pairs == [("ur5", "iiwa")]
@@ -247,7 +241,7 @@ def test_a_target_that_cannot_be_used_is_named_and_the_others_go_on(tmp_path: Pa
     }
 
 
-def test_a_matrix_without_a_usable_target_says_why() -> None:
+def test_a_matrix_without_a_usable_target_says_why():
     matrix = arms("installed:nothing/none.urdf")
     matrix.variants.pop("iiwa")
     matrix.pairs = [("ur5", "other")]

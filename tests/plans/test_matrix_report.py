@@ -1,12 +1,9 @@
 """The report of a matrix: its numbers beside the tests in the run folders, and its page."""
 
-from __future__ import annotations
-
 import json
 import re
 from copy import copy
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -38,7 +35,7 @@ def report(undisturbed: Matrix) -> TransferReport:
     return transfer_report(undisturbed)
 
 
-def test_numbers_are_those_of_the_folders(undisturbed: Matrix, report: TransferReport) -> None:
+def test_numbers_are_those_of_the_folders(undisturbed, report):
     (cell,) = [one for one in report.cells if (one.source, one.target) == ("fast", "slow")]
     tests = undisturbed.zero_shot["fast", "slow"]
     zero = [tests[seed].success_end for seed in (0, 1)]
@@ -62,14 +59,14 @@ def test_numbers_are_those_of_the_folders(undisturbed: Matrix, report: TransferR
     assert cell.estimates["forward_transfer"].value == pytest.approx((tuned_area - scratch_area) / (1 - scratch_area))
 
 
-def test_the_diagonal_is_the_policy_at_home_and_has_nothing_to_compare(report: TransferReport) -> None:
+def test_the_diagonal_is_the_policy_at_home_and_has_nothing_to_compare(report):
     own = [one for one in report.cells if one.source == one.target]
     assert len(own) == 2
     for cell in own:
         assert set(cell.estimates) == {"zero_shot"}
 
 
-def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_source(report: TransferReport) -> None:
+def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_source(report):
     rows = json.loads(json.dumps(report.rows(), allow_nan=False))
     assert [(row["source"], row["target"]) for row in rows] == [
         (source, target) for source in ("fast", "slow") for target in ("fast", "slow")
@@ -82,7 +79,7 @@ def test_rows_are_json_with_wilson_intervals_of_each_run_and_the_cost_of_the_sou
     assert row["ceiling"] is None  # a toy has no expert
 
 
-def test_rows_say_which_seeds_and_how_many_pairs_count(undisturbed: Matrix) -> None:
+def test_rows_say_which_seeds_and_how_many_pairs_count(undisturbed):
     pair = ("fast", "slow")
     less = copy(undisturbed)
     less.zero_shot = {**undisturbed.zero_shot, pair: {1: undisturbed.zero_shot[pair][1]}}
@@ -92,7 +89,7 @@ def test_rows_say_which_seeds_and_how_many_pairs_count(undisturbed: Matrix) -> N
     assert (row["jump_start"]["pairs"], row["jump_start"]["alone"]) == (1, 1)
 
 
-def test_a_pair_without_a_value_of_its_own_is_counted_and_noted(report: TransferReport) -> None:
+def test_a_pair_without_a_value_of_its_own_is_counted_and_noted(report):
     gained = _paired([[0.9, 0.5], [1.0, 1.0], [0.8, 0.6]], forward_transfer, SeedTree(0))
     assert gained is not None
     assert (gained.pairs, gained.alone) == (3, 2)
@@ -101,7 +98,7 @@ def test_a_pair_without_a_value_of_its_own_is_counted_and_noted(report: Transfer
     assert said in notes(replace(report, cells=tuple(cells)))
 
 
-def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(undisturbed: Matrix, tmp_path: Path) -> None:
+def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(undisturbed, tmp_path):
     folder = undisturbed.sources["fast"][0]
     tests = folder.path / "tests.jsonl"
     moved = tests.rename(tmp_path / "tests.jsonl")
@@ -113,7 +110,7 @@ def test_a_source_that_has_lost_its_tests_is_left_out_with_a_warning(undisturbed
     assert [[*variant.runs] for variant in report.variants] == [[1], [0, 1]]
 
 
-def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathFactory) -> None:
+def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory):
     overrides = ["transfer.modes=[zero_shot]", "transfer.fine_tune=null", "seeds=[0]", "training.steps=40"]
     runs, _, started = run_matrix(tmp_path_factory.mktemp("runs"), *overrides)
     assert started == ["line-fast", "line-slow", "(line-fast-to-slow)", "(line-slow-to-fast)"]
@@ -125,7 +122,7 @@ def test_zero_shot_alone_needs_no_fine_tuning(tmp_path_factory: pytest.TempPathF
     assert "Learning" not in matrix_page(found, *transfer_figures(found))
 
 
-def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: TransferReport) -> None:
+def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report):
     text = matrix_page(report, *transfer_figures(report))
     for word in (
         "Zero-shot success",
@@ -143,8 +140,8 @@ def test_the_page_holds_a_heat_map_for_each_metric_and_every_run(report: Transfe
 
 
 def test_sources_and_references_are_trained_and_every_other_variant_counts_once(
-    tmp_path_factory: pytest.TempPathFactory,
-) -> None:
+    tmp_path_factory,
+):
     overrides = [
         "transfer.sources=[fast]",
         "transfer.references=[slower]",

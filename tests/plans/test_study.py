@@ -1,7 +1,5 @@
 """Trials drawn, told and taken up again from the journal; nothing is run."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,12 +1,9 @@
 """`karolos suite`: nothing is trained twice, mistakes have positions, and specs share a budget."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import sys
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -63,9 +60,7 @@ def folders(runs: Path) -> dict[str, RunFolder]:
     return {run.description()["name"]: run for run in scan(runs) if isinstance(run, RunFolder)}
 
 
-def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_the_same(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_the_same(folder, monkeypatch):
     whole, started = trained(monkeypatch)
     assert started == ["fast", "slow"]
     assert [row["success_end"]["seeds"] for row in whole] == [[row["success_end"]["value"]] for row in whole]
@@ -92,7 +87,7 @@ def test_a_suite_killed_on_local_and_resumed_trains_nothing_twice_and_reports_th
     assert f'href="../../{again[1]["runs"][0]}"' in page
 
 
-def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
+def test_mistakes_are_shown_where_they_are(folder):
     Path("fast.yaml").write_text("robot: panda\ntask: reach\nagent: {name: sac, discont: 1}\n")
     entries = "  - fast.yaml\n  - none.yaml\n  - {spec: slow.yaml, overrides: {agent.learning_rate: fast}}\n"
     Path("mine.yaml").write_text(f"specs:\n{entries}  - slow.yaml\n  - slow.yaml\n")
@@ -127,9 +122,7 @@ def test_mistakes_are_shown_where_they_are(folder: Path) -> None:
         (["agent=dqn", "environment.actions=discrete"], ["panda_push", "ur5_insert_demos"], ("bit_flip is left out",)),
     ],
 )
-def test_what_an_agent_cannot_use_is_left_out_and_named(
-    overrides: list[str], left: list[str], said: tuple[str, ...], tmp_path: Path
-) -> None:
+def test_what_an_agent_cannot_use_is_left_out_and_named(overrides, left, said, tmp_path):
     path = tmp_path / "mine.yaml"
     path.write_text("specs: [panda_push, ur5_insert_demos, bit_flip]\n")
     found = training.fitted(load_suite(path, overrides))
@@ -138,7 +131,7 @@ def test_what_an_agent_cannot_use_is_left_out_and_named(
         assert words in "\n".join(found.notes)
 
 
-def test_a_suite_of_which_an_agent_can_use_nothing_is_refused_with_the_first_reason(tmp_path: Path) -> None:
+def test_a_suite_of_which_an_agent_can_use_nothing_is_refused_with_the_first_reason(tmp_path):
     (tmp_path / "mine.yaml").write_text("specs: [panda_reach, panda_pick]\n")
     with pytest.raises(KarolosError, match=r"takes \d continuous numbers"):
         training.fitted(load_suite(tmp_path / "mine.yaml", ["agent=dqn", "buffer.hindsight.imitate=true"]))
@@ -151,14 +144,12 @@ def test_a_suite_of_which_an_agent_can_use_nothing_is_refused_with_the_first_rea
         (load_suite, "fast.yaml", r"^fast\.yaml:1:1: .* a spec, not a suite; `karolos run fast\.yaml` trains it$"),
     ],
 )
-def test_a_suite_given_as_a_spec_or_a_spec_as_a_suite_is_one_line_with_the_command(
-    folder: Path, load: Callable[[str], object], path: str, said: str
-) -> None:
+def test_a_suite_given_as_a_spec_or_a_spec_as_a_suite_is_one_line_with_the_command(folder, load, path, said):
     with pytest.raises(SpecError, match=said):
         load(path)
 
 
-def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_seeds() -> None:
+def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_seeds():
     def entry(name: str, seeds: int, others: int) -> Entry:
         own, other = contender("own", [[200]] * seeds), contender("other", [[100]] * others)
         spec = spec_from_dict({**LINE, "name": name, "seeds": list(range(5))})
@@ -173,7 +164,7 @@ def test_verdict_counts_specs_without_a_test_and_refuses_probabilities_of_few_se
     )
 
 
-def test_a_spec_whose_runs_have_no_test_is_named(folder: Path) -> None:
+def test_a_spec_whose_runs_have_no_test_is_named(folder):
     found = load_suite("mine.yaml")
     plan = SuitePlan(found)
     plan.found = [SuiteJob(spec, Home(folder, "", "resume")) for spec in found.specs]
@@ -183,9 +174,7 @@ def test_a_spec_whose_runs_have_no_test_is_named(folder: Path) -> None:
     assert "Without a test: fast, slow." in verdict(report)
 
 
-def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(tmp_path, monkeypatch):
     now = 0.0
     monkeypatch.setattr(training, "monotonic", lambda: now)
     line = {**LINE, "seeds": [0]}
@@ -218,7 +207,7 @@ def test_specs_share_a_budget_by_their_steps_and_get_what_others_leave(
     assert [job.spec.name for job in jobs if job.cut] == ["long", "last"]
 
 
-def test_a_budget_that_no_first_test_fits_into_is_refused_with_one_that_is_enough(folder: Path) -> None:
+def test_a_budget_that_no_first_test_fits_into_is_refused_with_one_that_is_enough(folder):
     code, out, err = call(app, "mine.yaml", "--budget", "5s")
     assert (code, out) == (2, "")
     said = "--budget: the share of the budget ends before the first test of fast, slow; at 330 steps per second"

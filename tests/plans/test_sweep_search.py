@@ -1,7 +1,5 @@
 """Sweeps from the first trial to the best spec, with processes that die on the way."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

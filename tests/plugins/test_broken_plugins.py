@@ -33,7 +33,7 @@ def made(kind: str, name: str, methods: dict[str, Any], **settings: Any) -> Cand
     return Candidate(kind, "mine", type("Mine", (load(kind, name),), methods), settings)
 
 
-def test_an_agent_that_acts_with_a_generator_of_its_own_breaks_two_promises() -> None:
+def test_an_agent_that_acts_with_a_generator_of_its_own_breaks_two_promises():
     parent = load("agents", "dqn")
 
     def act(self: Any, observation: Any, desired_goal: Any, **how: Any) -> Any:
@@ -48,7 +48,7 @@ def test_an_agent_that_acts_with_a_generator_of_its_own_breaks_two_promises() ->
     assert len(found) == 2
 
 
-def test_an_agent_whose_state_is_not_a_copy_breaks_a_promise() -> None:
+def test_an_agent_whose_state_is_not_a_copy_breaks_a_promise():
     parent = load("agents", "dqn")
 
     def learn(self: Any, batch: Any) -> Any:
@@ -62,7 +62,7 @@ def test_an_agent_whose_state_is_not_a_copy_breaks_a_promise() -> None:
     assert "return copies" in found["a_saved_state_does_not_change_with_the_agent"]
 
 
-def test_a_buffer_with_a_generator_of_its_own_breaks_a_promise() -> None:
+def test_a_buffer_with_a_generator_of_its_own_breaks_a_promise():
     parent = load("buffers", "uniform")
 
     def sample(self: Any, size: int) -> Any:
@@ -73,7 +73,7 @@ def test_a_buffer_with_a_generator_of_its_own_breaks_a_promise() -> None:
     assert found["the_same_seed_samples_the_same_and_another_does_not"].startswith("slots sampled with the same seed")
 
 
-def test_an_environment_of_float64_that_ignores_its_seed_breaks_promises() -> None:
+def test_an_environment_of_float64_that_ignores_its_seed_breaks_promises():
     parent = load("environments", "toy")
 
     def reset(self: Any, seed: int) -> Any:
@@ -86,7 +86,7 @@ def test_an_environment_of_float64_that_ignores_its_seed_breaks_promises() -> No
     assert "in a used environment" in found[used] or "an episode of the same seed" in found[used]
 
 
-def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise() -> None:
+def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise():
     found = broken(
         made(
             "distributions",
@@ -99,21 +99,21 @@ def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise() -> None:
     assert set(found) == {"the_generator_alone_determines_the_values"}
 
 
-def test_a_robot_whose_tool_moves_too_little_breaks_a_promise() -> None:
+def test_a_robot_whose_tool_moves_too_little_breaks_a_promise():
     parent = load("robots", "panda")
     slow = {"towards": lambda self, *target: 0.1 * parent.towards(self, *target)}
     found = broken(made("robots", "panda", slow), robots.the_tool_reaches_every_corner_of_the_workspace)
     assert "mm away from" in found["the_tool_reaches_every_corner_of_the_workspace"]
 
 
-def test_a_task_without_the_headings_of_its_docstring_breaks_a_promise() -> None:
+def test_a_task_without_the_headings_of_its_docstring_breaks_a_promise():
     found = broken(made("tasks", "reach", {"__doc__": "Reach."}))
     assert found == {
         "the_docstring_says_what_to_do_what_is_randomised_and_what_counts": 'the docstring lacks "What to do:"'
     }
 
 
-def test_settings_and_kinds_that_cannot_be_checked_are_refused() -> None:
+def test_settings_and_kinds_that_cannot_be_checked_are_refused():
     with pytest.raises(UsageError, match="distribution mine: low: Field required; give a value for each setting"):
         broken(made("distributions", "uniform", {}))
     with pytest.raises(UsageError, match="no contracts for orchestrator local"):
@@ -122,7 +122,7 @@ def test_settings_and_kinds_that_cannot_be_checked_are_refused() -> None:
         check("agents", "sacc")
 
 
-def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch):
     def draw(self: Any, generator: Any) -> float:
         raise ZeroDivisionError("of my own\nmaking")
 
@@ -184,7 +184,7 @@ def command(function: Callable[..., None]) -> Typer:
 
 
 @pytest.mark.parametrize("method", ["fit", "build", "reset", "expert", "act"])
-def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installed: Installer, method: str) -> None:
+def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installed, method):
     spec = installed(method)
     told = f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object has no"
     small = ("--width", "32", "--height", "24")
@@ -200,7 +200,7 @@ def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installe
 
 
 @pytest.mark.parametrize("method", ["fit", "build", "reset", "observe"])
-def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed: Installer, method: str) -> None:
+def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed, method):
     spec = installed(method)
     code, out, _ = call(command(check_spec), str(spec), "orchestrator.processes=0")
     assert (code, out.count("\n")) == (3, 1)
@@ -208,7 +208,7 @@ def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed: Instal
     assert f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object" in out
 
 
-def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed: Installer) -> None:
+def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed):
     installed("fit")
     with pytest.raises(ZeroDivisionError), blaming():
         _ = 1 / 0

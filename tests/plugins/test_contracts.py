@@ -79,7 +79,7 @@ PROMISES = dict([*promises_alone(), *promises_of_pairs()])
 
 
 @pytest.mark.parametrize("who", PROMISES)
-def test_every_promise_is_kept(who: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_promise_is_kept(who, monkeypatch):
     # `karolos plugins check` plays twice as many; bench/ plays hundreds
     monkeypatch.setattr(pairs, "EPISODES", 5)
     monkeypatch.setattr(pairs, "CHANCE_EPISODES", 2)

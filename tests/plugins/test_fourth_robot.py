@@ -1,8 +1,6 @@
 """A robot that no task has heard of: every task works with it, and what robots promise is promised by it too."""
 
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -31,7 +29,7 @@ def small(tmp_path_factory: pytest.TempPathFactory) -> Candidate:
     return Candidate("robots", "small", small_arm(tmp_path_factory.mktemp("urdf")))
 
 
-def test_it_keeps_what_robots_promise(small: Candidate) -> None:
+def test_it_keeps_what_robots_promise(small):
     for case in cases(small, alone=True):
         if case.promise not in robots.GRIPPER:  # its grip of 15 N lifts the cube, and loses it in the shake
             case()
@@ -39,7 +37,7 @@ def test_it_keeps_what_robots_promise(small: Candidate) -> None:
 
 @pytest.mark.parametrize("task", names("tasks"))
 @pytest.mark.parametrize("control", CONTROLS)
-def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control: str) -> None:
+def test_every_task_is_solved_by_its_expert(small, task, control):
     if not goes_with(candidate("tasks", task), control):
         pytest.skip(f"{task} is not done in {control} control")
     robot = replace(small, settings={"control": control})
@@ -52,7 +50,7 @@ def test_every_task_is_solved_by_its_expert(small: Candidate, task: str, control
     assert found.success_end >= ENOUGH.get(task, 0.1)
 
 
-def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small: Candidate) -> None:
+def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small):
     made = join(small, candidate("tasks", "pick_place", start_grasped=0.5))
     box, yaw = made.robot.workspace, made.robot.home_yaw
     rotation = made.signature.observation.slice("object_rotation")
@@ -65,7 +63,7 @@ def test_a_cube_lies_where_this_robot_works_and_as_its_gripper_is_held(small: Ca
     made.close()
 
 
-def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_rest(tmp_path: Path) -> None:
+def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_rest(tmp_path):
     bare = Candidate("robots", "bare", small_arm(tmp_path, fingers=False))
     for task in names("tasks"):
         if task in (*TURNING, "slide"):  # see above; a puck rolls off a stick
@@ -78,7 +76,7 @@ def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_r
             assert evaluate(made, expert_policy(made), episodes=5, seed=0).success_end >= 0.8, task
 
 
-def test_a_light_wrist_with_the_damping_that_exporters_write_is_still(tmp_path: Path) -> None:
+def test_a_light_wrist_with_the_damping_that_exporters_write_is_still(tmp_path):
     light = small_arm(tmp_path)
     path = light.model.urdf
     text = path.read_text().replace('<joint name="joint6" type="revolute">', f"{LAST_JOINT}<dynamics damping='1.0'/>")
@@ -102,9 +100,7 @@ def test_a_light_wrist_with_the_damping_that_exporters_write_is_still(tmp_path: 
         ({"fingers": None}, "nothing moves the prismatic joints slide1, slide2"),
     ],
 )
-def test_a_model_that_does_not_fit_its_urdf_is_refused_in_one_line(
-    small: Candidate, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], message: str
-) -> None:
+def test_a_model_that_does_not_fit_its_urdf_is_refused_in_one_line(small, monkeypatch, changes, message):
     model = small.plugin.model
     fingers = changes.get("fingers", {})
     changes = {**changes, "fingers": replace(model.fingers, **fingers) if fingers is not None else None}

@@ -16,13 +16,13 @@ from karolos.registry import names
 GANTRY = Candidate("robots", "gantry", Gantry)
 
 
-def test_a_gantry_keeps_the_promises_that_apply_to_it() -> None:
+def test_a_gantry_keeps_the_promises_that_apply_to_it():
     found = cases(GANTRY, alone=True) + of_pair(GANTRY, candidate("tasks", "reach"))
     assert {case.promise for case in found} >= {*robots.ANY_ROBOT, *pairs.PROMISES}
     assert [problem for _, problem in results(found) if problem] == []
 
 
-def test_a_task_that_refuses_a_robot_with_a_reason_breaks_no_promise() -> None:
+def test_a_task_that_refuses_a_robot_with_a_reason_breaks_no_promise():
     refused = [task for task in names("tasks") if not candidate("tasks", task).plugin.uses_gripper]
     assert "reach" in refused
     (refusal,) = of_pair(GANTRY, Candidate("tasks", "picky", Picky))
@@ -37,7 +37,7 @@ class Picky(candidate("tasks", "reach").plugin):  # type: ignore[misc]  # a clas
         raise karolos.errors.UsageError("no joint turns", where="robot")
 
 
-def test_no_installed_task_refuses_an_installed_robot() -> None:
+def test_no_installed_task_refuses_an_installed_robot():
     for robot in ROBOTS:
         for task in names("tasks"):
             found = of_pair(candidate("robots", robot), candidate("tasks", task))
@@ -45,7 +45,7 @@ def test_no_installed_task_refuses_an_installed_robot() -> None:
 
 
 @pytest.mark.parametrize("method", ["build", "act"])
-def test_a_check_stops_after_a_broken_basic(monkeypatch: pytest.MonkeyPatch, method: str) -> None:
+def test_a_check_stops_after_a_broken_basic(monkeypatch, method):
     def fail(self: Any, *_: Any) -> None:
         raise ZeroDivisionError("of my own")
 
@@ -57,7 +57,7 @@ def test_a_check_stops_after_a_broken_basic(monkeypatch: pytest.MonkeyPatch, met
     assert "were not checked" in ended.stderr
 
 
-def test_a_problem_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_problem_is_told_once(monkeypatch):
     def fail(self: Any, *_: Any) -> None:
         raise ZeroDivisionError("of my own")
 

@@ -19,7 +19,7 @@ from karolos.robots.arm import Arm, ArmSettings
 from karolos.robots.proposal import Known, Proposal, propose, with_meshes
 
 
-def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path: Path) -> None:
+def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path):
     found = propose(exported_arm(tmp_path).model.urdf)
     model, fingers = found.model, found.model.fingers
     assert found.notes[1] == "arm: joint1, joint2, joint3, joint4, joint5, joint6"
@@ -40,12 +40,12 @@ def path(tmp_path: Path, quick_proposals: None) -> Path:
     return exported_arm(tmp_path).model.urdf
 
 
-def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(path: Path) -> None:
+def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(path):
     path.write_text(path.read_text().replace("tool0", "somewhere"))
     assert propose(path).model.tool == pytest.approx((0, 0, TOOL + 0.015 - 0.01), abs=1e-6)
 
 
-def test_a_gripper_with_turning_fingers_is_locked(path: Path) -> None:
+def test_a_gripper_with_turning_fingers_is_locked(path):
     path.write_text(path.read_text().replace('"prismatic"', '"revolute"'))
     found = propose(path)
     assert found.model.fingers is None
@@ -64,9 +64,7 @@ def test_a_gripper_with_turning_fingers_is_locked(path: Path) -> None:
         ('"link3"', '"l&#x202e;"', r"<link>: its name is 'l\u202e'"),
     ],
 )
-def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(
-    path: Path, tmp_path: Path, old: str, new: str, message: str
-) -> None:
+def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written(path, tmp_path, old, new, message):
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
@@ -81,7 +79,7 @@ HOSTILE = (r"C:\new\u", '"""+1/0+"""', "it's", "#{x}", "$$name")
 """Names that are not what they seem in Python source, its docstrings and comments, or in a template."""
 
 
-def test_names_become_literals_in_the_module(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_names_become_literals_in_the_module(path, tmp_path, monkeypatch):
     text = path.read_text()
     for old, new in zip(("joint1", "slide1", "pad1", "link6", "elbow"), HOSTILE, strict=True):
         text = text.replace(f'"{old}"', quoteattr(new))
@@ -98,7 +96,7 @@ def test_names_become_literals_in_the_module(path: Path, tmp_path: Path, monkeyp
     module.Mine(module.Mine.Settings())  # the model fits the URDF in the package
 
 
-def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(path: Path, tmp_path: Path) -> None:
+def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(path, tmp_path):
     mark = path.parent.parent / "meshes" / "mark.obj"
     mark.with_suffix(".mtl").write_text("map_Kd /etc/passwd\n")
     mark.write_text("mtllib mark.mtl\nmtllib /dev/zero\nmtllib ../../secret.mtl\n" + mark.read_text())
@@ -111,7 +109,7 @@ def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(path: Path,
         write_starter("robot", "mine", tmp_path / "mine", urdf=path)
 
 
-def test_of_two_arms_one_is_chosen_by_its_tool(path: Path) -> None:
+def test_of_two_arms_one_is_chosen_by_its_tool(path):
     whole = path.read_text()
     first = whole.index('<link name="link1">')
     second = re.sub(r'"(link|joint|pad|slide|elbow|tool0)', r'"left_\1', whole[first : whole.index("<transmission")])
@@ -127,7 +125,7 @@ def test_of_two_arms_one_is_chosen_by_its_tool(path: Path) -> None:
         propose(path, known=Known("tool7"))
 
 
-def test_home_lies_in_the_workspace_below_a_ceiling_too(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_home_lies_in_the_workspace_below_a_ceiling_too(path, monkeypatch):
     monkeypatch.setattr(poses, "HEIGHTS", (1.0,))
     monkeypatch.setattr(poses, "ENOUGH", 0.85)  # nowhere is room enough, so that all others are looked at
     upright = '<child link="base"/><origin xyz="0 0 0"/>'
@@ -138,7 +136,7 @@ def test_home_lies_in_the_workspace_below_a_ceiling_too(path: Path, monkeypatch:
     type("Mine", (Arm,), {"model": model, "Settings": ArmSettings})(ArmSettings())  # refuses a home outside
 
 
-def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(path: Path) -> None:
+def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(path):
     text = path.read_text()
     for old, new in {
         'lower="-3.0" upper="3.0" effort="60" velocity="2.5"': 'lower="-166" upper="166" effort="60" velocity="10"',
@@ -164,7 +162,7 @@ def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_n
     ("arguments", "message"),
     [(("task", "x", "--urdf", "x"), "a task has no URDF"), (("robot", "x", "--tool", "x"), "add --urdf FILE")],
 )
-def test_options_that_do_not_go_together_are_refused(arguments: tuple[str, ...], message: str) -> None:
+def test_options_that_do_not_go_together_are_refused(arguments, message):
     code, _, err = call(app, "new", *arguments)
     assert code == 2
     assert message in err

@@ -27,18 +27,18 @@ def uniform(low: float, high: float) -> UniformDistribution:
 
 
 @given(st.floats(-5, 5), st.floats(0, 5), st.integers(0, 1000))
-def test_uniform_stays_between_its_bounds(low: float, width: float, seed: int) -> None:
+def test_uniform_stays_between_its_bounds(low, width, seed):
     value = uniform(low=low, high=low + width).draw(generator(seed))
     assert low <= value <= low + width
 
 
 @given(st.floats(1e-3, 10), st.floats(1, 1000), st.integers(0, 1000))
-def test_log_uniform_stays_between_its_bounds(low: float, factor: float, seed: int) -> None:
+def test_log_uniform_stays_between_its_bounds(low, factor, seed):
     value = LogUniform(LogUniform.Settings(low=low, high=low * factor)).draw(generator(seed))
     assert low <= value <= low * factor
 
 
-def test_distributions_have_the_moments_they_say() -> None:
+def test_distributions_have_the_moments_they_say():
     draws = generator()
 
     def mean(draw: Callable[[Generator], float]) -> tuple[float, float]:
@@ -68,12 +68,12 @@ def test_distributions_have_the_moments_they_say() -> None:
         lambda: Normal.Settings(mean=float("nan"), std=1.0),
     ],
 )
-def test_distribution_that_makes_no_sense_is_refused(make: Callable[[], object]) -> None:
+def test_distribution_that_makes_no_sense_is_refused(make):
     with pytest.raises(ValidationError):
         make()
 
 
-def test_values_outside_the_declared_range_are_drawn_again() -> None:
+def test_values_outside_the_declared_range_are_drawn_again():
     wide = Randomization({"robot.link_mass": Normal(Normal.Settings(mean=1.0, std=3.0))}, DECLARED)
     draws = generator()
     values = [wide.draw(draws)[0] for _ in range(300)]
@@ -82,23 +82,23 @@ def test_values_outside_the_declared_range_are_drawn_again() -> None:
     assert len(set(values)) == 300, "cut off, not heaped up at the bounds"
 
 
-def test_distribution_that_always_misses_is_a_named_error() -> None:
+def test_distribution_that_always_misses_is_a_named_error():
     with pytest.raises(RunError, match=r"randomization.robot.link_mass.*allowed is 0.5 to 2$"):
         Randomization({"robot.link_mass": uniform(low=5.0, high=6.0)}, DECLARED)
 
 
 @pytest.mark.parametrize("values", [(5.0,), (1.0, 5.0)])
-def test_listed_value_outside_the_range_is_refused_not_left_out(values: tuple[float, ...]) -> None:
+def test_listed_value_outside_the_range_is_refused_not_left_out(values):
     with pytest.raises(UsageError, match=r"robot.link_mass: 5 lies outside the allowed range; allowed is 0.5 to 2$"):
         Randomization({"robot.link_mass": Choice(Choice.Settings(values=values))}, DECLARED)
 
 
-def test_undeclared_parameter_names_the_closest_and_what_is_declared() -> None:
+def test_undeclared_parameter_names_the_closest_and_what_is_declared():
     with pytest.raises(UsageError, match=r"did you mean 'robot.link_mass'.*task.gravity"):
         Randomization({"robot.link_mas": Normal(Normal.Settings(mean=1.0, std=0.1))}, DECLARED)
 
 
-def test_order_of_the_spec_does_not_change_what_is_drawn() -> None:
+def test_order_of_the_spec_does_not_change_what_is_drawn():
     mass, gravity = Normal(Normal.Settings(mean=1.0, std=0.1)), Normal(Normal.Settings(mean=-9.81, std=0.1))
     one = Randomization({"robot.link_mass": mass, "task.gravity": gravity}, DECLARED)
     other = Randomization({"task.gravity": gravity, "robot.link_mass": mass}, DECLARED)
@@ -106,7 +106,7 @@ def test_order_of_the_spec_does_not_change_what_is_drawn() -> None:
     assert one.draw(generator()) == other.draw(generator())
 
 
-def test_nothing_to_draw_draws_nothing() -> None:
+def test_nothing_to_draw_draws_nothing():
     draws = generator()
     before = draws.bit_generator.state
     assert Randomization({}, DECLARED).draw(draws) == []

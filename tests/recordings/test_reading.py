@@ -1,8 +1,7 @@
 """Recordings in: other people's files, what is computed again, and what is refused in one line."""
 
-from __future__ import annotations
-
 import json
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -20,14 +19,23 @@ from karolos.recordings.reading import read_recordings
 from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
+pytestmark = pytest.mark.xdist_group(__name__)
+
 DATA, EPISODES, INFO = "data/chunk-000/file-000.parquet", "meta/episodes/chunk-000/file-000.parquet", "meta/info.json"
 Damage = Callable[[Path], object]
 
 
-def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(tmp_path: Path) -> None:
-    own = record(tmp_path / "own")
-    expected = read_recordings(tmp_path / "own", facts(), {}, 100)
-    found = read_recordings(foreign(tmp_path / "foreign", own), facts(), COLUMNS, 100)
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a recording of our own, and what somebody else would write of the same episodes."""
+    folder = tmp_path_factory.mktemp("recorded")
+    foreign(folder / "foreign", record(folder / "own"))
+    return folder
+
+
+def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(recorded):
+    expected = read_recordings(recorded / "own", facts(), {}, 100)
+    found = read_recordings(recorded / "foreign", facts(), COLUMNS, 100)
     assert found.successes == expected.successes > 0
     for one, whole in zip(found.episodes, expected.episodes, strict=True):
         assert len(one.reward) == len(whole.reward) - 1
@@ -37,7 +45,7 @@ def test_what_somebody_else_wrote_is_the_same_but_for_the_last_step(tmp_path: Pa
         assert one.truncated.tolist() == [False] * (len(one.reward) - 1) + [True]
 
 
-def test_a_run_learns_from_a_recording_which_is_part_of_what_it_is(tmp_path: Path) -> None:
+def test_a_run_learns_from_a_recording_which_is_part_of_what_it_is(tmp_path):
     path = lerobot(tmp_path)
     given = {**REACH, "demonstrations": {"file": str(path), "episodes": 2}}
     outcome = Experiment(given).run(tmp_path / "runs")
@@ -115,9 +123,9 @@ DAMAGES: dict[str, tuple[Damage, dict[str, str], str]] = {
 
 
 @pytest.mark.parametrize("name", DAMAGES)
-def test_a_damaged_recording_is_one_line_and_nothing_is_run(name: str, tmp_path: Path) -> None:
+def test_a_damaged_recording_is_one_line_and_nothing_is_run(name, recorded, tmp_path):
     damage, columns, expected = DAMAGES[name]
-    path = foreign(tmp_path / "foreign", record(tmp_path / "own"))
+    path = shutil.copytree(recorded / "foreign", tmp_path / "foreign")
     damage(path)
     mapped = {key: value for key, value in {**COLUMNS, **columns}.items() if value}
     with pytest.raises(UsageError) as caught:
@@ -128,25 +136,23 @@ def test_a_damaged_recording_is_one_line_and_nothing_is_run(name: str, tmp_path:
     assert not list((tmp_path / "runs").glob("*-s0-*"))
 
 
-def test_joints_in_degrees_are_noticed(tmp_path: Path) -> None:
+def test_joints_in_degrees_are_noticed(recorded):
     joints = spec_from_dict(REACH, ["robot.control=joint"]).recipe(randomize=False)
-    path = foreign(tmp_path / "foreign", record(tmp_path / "own"))
     columns = {**COLUMNS, "joint_positions": "joints SI", "joint_velocities": "joints deg/s"}
     with pytest.raises(UsageError, match=r"joint_positions is 90 rad; .* degrees, .*joint_positions: joints deg"):
-        read_recordings(path, facts(joints), columns, 1)
+        read_recordings(recorded / "foreign", facts(joints), columns, 1)
 
 
-def test_a_recording_of_another_environment_is_refused(tmp_path: Path) -> None:
-    record(tmp_path / "own")
+def test_a_recording_of_another_environment_is_refused(recorded):
     slower = spec_from_dict(REACH, ["environment.substeps=20"]).recipe(randomize=False)
     with pytest.raises(UsageError, match="it has 24 steps a second, and this environment 12"):
-        read_recordings(tmp_path / "own", facts(slower), {}, 1)
+        read_recordings(recorded / "own", facts(slower), {}, 1)
     other = spec_from_dict(REACH, ["robot.control=joint"]).recipe(randomize=False)
     with pytest.raises(UsageError, match="it was recorded in another environment: observation is"):
-        read_recordings(tmp_path / "own", facts(other), {}, 1)
+        read_recordings(recorded / "own", facts(other), {}, 1)
 
 
-def test_behaviour_cloning_takes_no_environment_step(tmp_path: Path) -> None:
+def test_behaviour_cloning_takes_no_environment_step(tmp_path):
     given = {**REACH, "demonstrations": {"file": str(lerobot(tmp_path)), "updates": 200}}
     cloned = ["training.steps=0", "agent.imitation=1", "agent.cloning=true"]
     outcome = Experiment(spec_from_dict(given, cloned)).run(tmp_path / "runs")

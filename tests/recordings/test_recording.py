@@ -1,10 +1,7 @@
 """Recordings out: episodes, their order, interruptions, and what comes back from each format."""
 
-from __future__ import annotations
-
 import json
 import shutil
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +20,7 @@ COMMAND = ["dataset", "panda_reach", "orchestrator.processes=0", "task.max_steps
 COMMAND += ["--expert", "--episodes", "3", "--noise", "0.2", "--out"]
 
 
-def test_each_format_gives_back_every_bit(tmp_path: Path) -> None:
+def test_each_format_gives_back_every_bit(tmp_path):
     folder = record(tmp_path / "own", 3)
     about = folder.about()
     assert about is not None
@@ -37,14 +34,14 @@ def test_each_format_gives_back_every_bit(tmp_path: Path) -> None:
                 assert (column.dtype, column.tobytes()) == (same.dtype, same.tobytes()), name
 
 
-def test_episodes_depend_on_their_number_alone(tmp_path: Path) -> None:
+def test_episodes_depend_on_their_number_alone(tmp_path):
     one, other = record(tmp_path / "one", 4, environments=1), record(tmp_path / "other", 4, environments=3)
     for first, second in zip(one.recordings(), other.recordings(), strict=True):
         np.testing.assert_array_equal(first.action, second.action)
         np.testing.assert_array_equal(first.observation, second.observation)
 
 
-def test_an_interrupted_recording_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_an_interrupted_recording_goes_on_as_if_it_had_not_been(tmp_path):
     def stop(kept: int) -> None:
         if kept == 2:
             raise KeyboardInterrupt
@@ -57,7 +54,7 @@ def test_an_interrupted_recording_goes_on_as_if_it_had_not_been(tmp_path: Path) 
         np.testing.assert_array_equal(first.observation, second.observation)
 
 
-def test_failures_are_left_out_and_counted_and_a_policy_that_never_succeeds_comes_to_an_end(tmp_path: Path) -> None:
+def test_failures_are_left_out_and_counted_and_a_policy_that_never_succeeds_comes_to_an_end(tmp_path):
     played = record(tmp_path / "some", 3, only_success=True, noise=0.0, random=0.7).played()
     assert sum(one.kept for one in played) == 3
     assert all(one.success == one.kept for one in played)
@@ -66,7 +63,7 @@ def test_failures_are_left_out_and_counted_and_a_policy_that_never_succeeds_come
         record(tmp_path / "none", 1, only_success=True, noise=0.0, random=1.0)
 
 
-def test_a_lerobot_folder_says_what_lerobot_reads(tmp_path: Path) -> None:
+def test_a_lerobot_folder_says_what_lerobot_reads(tmp_path):
     path = lerobot(tmp_path)
     info = json.loads((path / "meta/info.json").read_text())
     table = pq.read_table(path / "data/chunk-000/file-000.parquet")
@@ -82,7 +79,7 @@ def test_a_lerobot_folder_says_what_lerobot_reads(tmp_path: Path) -> None:
     assert json.loads(pq.read_schema(path / "meta/tasks.parquet").metadata[b"pandas"])["index_columns"] == ["task"]
 
 
-def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp_path: Path) -> None:
+def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp_path):
     out = tmp_path / "set"
     _, printed, said = call(app, *COMMAND, str(out), "--json")
     row: dict[str, Any] = json.loads(printed)
@@ -100,7 +97,7 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
     assert "beginning of another dataset: seed differ" in said
 
 
-def test_films_have_a_picture_for_each_action(tmp_path: Path) -> None:
+def test_films_have_a_picture_for_each_action(tmp_path):
     filmed = [*COMMAND, str(tmp_path), "--episodes", "2", "--camera", "front", "--camera", "wrist", "--size", "32"]
     assert call(app, *filmed)[0] == 0
     info = json.loads((tmp_path / "meta/info.json").read_text())

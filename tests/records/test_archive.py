@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import errno
 import gzip
 import io
@@ -52,7 +50,7 @@ def pack(path: Path, files: dict[str, bytes]) -> Path:
     return path
 
 
-def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path) -> None:
+def test_runs_come_out_as_they_went_in(run, tmp_path):
     exported = export_runs([run], tmp_path / "x.tar.gz")
     assert exported == (len(contents(run.path)), ())
     (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
@@ -64,16 +62,14 @@ def test_runs_come_out_as_they_went_in(run: RunFolder, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "other").iterdir()] == [run.id]
 
 
-def test_checkpoints_can_be_left_out(run: RunFolder, tmp_path: Path) -> None:
+def test_checkpoints_can_be_left_out(run, tmp_path):
     export_runs([run], tmp_path / "x.tar.gz", checkpoints=False)
     (came,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "other")
     assert not (Path(came.summary.folder) / "checkpoints").exists()
     assert came.tests == run.record().tests
 
 
-def test_an_archive_without_source_tells_no_code_command_path_or_name_and_none_tells_a_secret(
-    run: RunFolder, tmp_path: Path
-) -> None:
+def test_an_archive_without_source_tells_no_code_command_path_or_name_and_none_tells_a_secret(run, tmp_path):
     (run.path / "code.diff").write_text("+x\n")
     about = json.loads((run.path / "run.json").read_text())
     git = {"commit": "a", "dirty": True, "untracked": ["love_letter"]}
@@ -92,7 +88,7 @@ def test_an_archive_without_source_tells_no_code_command_path_or_name_and_none_t
     assert not [word for word in (b"geheim", b"love_letter", b"/home/me", b"+x") if word in told]
 
 
-def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run: RunFolder, tmp_path: Path) -> None:
+def test_export_refuses_what_is_there_or_running_and_leaves_nothing(run, tmp_path):
     place = tmp_path / "out"
     place.mkdir()
     with pytest.raises(UsageError, match=r"archives end in \.tar\.gz"):
@@ -115,7 +111,7 @@ archive.import_runs(Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
 
-def test_the_next_import_removes_what_a_killed_one_unpacked(run: RunFolder, tmp_path: Path) -> None:
+def test_the_next_import_removes_what_a_killed_one_unpacked(run, tmp_path):
     source, runs = tmp_path / "x.tar.gz", tmp_path / "other"
     export_runs([run], source)
     done = subprocess.run([sys.executable, "-c", KILLED, source, runs], timeout=60, check=False)
@@ -126,7 +122,7 @@ def test_the_next_import_removes_what_a_killed_one_unpacked(run: RunFolder, tmp_
     assert [path.name for path in runs.iterdir()] == [run.id]
 
 
-def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_path: Path) -> None:
+def test_the_next_export_removes_what_a_killed_one_wrote(run, tmp_path):
     with subprocess.Popen([sys.executable, "-c", ""]) as dead:
         pass
     place = tmp_path / "out"
@@ -138,7 +134,7 @@ def test_the_next_export_removes_what_a_killed_one_wrote(run: RunFolder, tmp_pat
     assert sorted(path.name for path in place.iterdir()) == sorted([other.name, "x.tar.gz"])
 
 
-def test_an_archive_holds_the_files_of_runs_and_no_others(run: RunFolder, tmp_path: Path) -> None:
+def test_an_archive_holds_the_files_of_runs_and_no_others(run, tmp_path):
     (run.path / "evil.py").write_text("")
     (run.path / "stop").write_text("")
     (run.path / "state.txt").symlink_to("/etc/hostname")
@@ -156,7 +152,7 @@ def test_an_archive_holds_the_files_of_runs_and_no_others(run: RunFolder, tmp_pa
         *("a-s0-1/checkpoints/best/evil.py", "a-s0-1/checkpoints/../run.json", "a-s0-1/tensorboard/x/run.json"),
     ],
 )
-def test_a_file_that_no_run_has_is_refused(tmp_path: Path, name: str) -> None:
+def test_a_file_that_no_run_has_is_refused(tmp_path, name):
     source = pack(tmp_path / "x.tar.gz", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
     with pytest.raises(UsageError, match="is not a file of a run"):
         import_runs(source, tmp_path / "in" / "runs")
@@ -165,7 +161,7 @@ def test_a_file_that_no_run_has_is_refused(tmp_path: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE, tarfile.DIRTYPE])
-def test_link_or_device_is_refused(tmp_path: Path, kind: bytes) -> None:
+def test_link_or_device_is_refused(tmp_path, kind):
     with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
         entry = tarfile.TarInfo("a-s0-1/run.json")
         entry.type, entry.linkname = kind, "/etc/passwd"
@@ -175,7 +171,7 @@ def test_link_or_device_is_refused(tmp_path: Path, kind: bytes) -> None:
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_a_list_of_files_that_is_missing_wrong_or_not_the_last_is_refused(tmp_path: Path) -> None:
+def test_a_list_of_files_that_is_missing_wrong_or_not_the_last_is_refused(tmp_path):
     description = json.dumps(DESCRIPTION).encode()
     good = f"{sha256(description).hexdigest()}  a-s0-1/run.json\n"
     for lists in ([], [good.replace("run", "state")], [good + good.replace("run", "state")], [""], [good, good]):
@@ -189,7 +185,7 @@ def test_a_list_of_files_that_is_missing_wrong_or_not_the_last_is_refused(tmp_pa
         assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_what_follows_the_stream_is_refused(run: RunFolder, tmp_path: Path) -> None:
+def test_what_follows_the_stream_is_refused(run, tmp_path):
     export_runs([run], tmp_path / "x.tar.gz")
     whole = (tmp_path / "x.tar.gz").read_bytes()
     for more in (b"x", gzip.compress(b"x" * 600), whole, gzip.compress(bytes(100_000))):
@@ -199,14 +195,14 @@ def test_what_follows_the_stream_is_refused(run: RunFolder, tmp_path: Path) -> N
         assert list((tmp_path / "other").iterdir()) == []
 
 
-def test_archive_that_unpacks_to_too_much_is_refused(tmp_path: Path) -> None:
+def test_archive_that_unpacks_to_too_much_is_refused(tmp_path):
     bomb = pack(tmp_path / "x.tar.gz", {"a-s0-1/code.diff": bytes(3_000_000)})
     with pytest.raises(UsageError, match="it unpacks to more than 2,000,000 bytes"):
         import_runs(bomb, tmp_path / "runs", most_bytes=2_000_000)
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_a_header_that_fills_the_memory_is_refused(tmp_path: Path) -> None:
+def test_a_header_that_fills_the_memory_is_refused(tmp_path):
     with tarfile.open(tmp_path / "x.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as tar:
         entry = tarfile.TarInfo("a-s0-1/run.json")
         entry.pax_headers = {"comment": "x" * 3_000_000}
@@ -215,7 +211,7 @@ def test_a_header_that_fills_the_memory_is_refused(tmp_path: Path) -> None:
         import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
 
 
-def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Path) -> None:
+def test_damaged_archive_is_told_and_brings_nothing(run, tmp_path):
     source = tmp_path / "x.tar.gz"
     export_runs([run], source)
     whole = source.read_bytes()
@@ -233,7 +229,7 @@ def test_damaged_archive_is_told_and_brings_nothing(run: RunFolder, tmp_path: Pa
         import_runs(tmp_path / "none.tar.gz", tmp_path / "other")
 
 
-def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, tmp_path: Path) -> None:
+def test_run_that_is_here_is_refused_and_the_others_do_not_come(run, tmp_path):
     with new_run(tmp_path / "second", source=tmp_path) as other:
         pass
     other.path.rename(tmp_path / "second" / "reach-s3-z")
@@ -246,7 +242,7 @@ def test_run_that_is_here_is_refused_and_the_others_do_not_come(run: RunFolder, 
     assert contents(tmp_path / "runs") == before
 
 
-def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None:
+def test_torn_lines_come_in_and_are_told(run, tmp_path):
     with (run.path / "tests.jsonl").open("a") as file:
         file.write('{"steps":')
     export_runs([run], tmp_path / "x.tar.gz")
@@ -265,16 +261,14 @@ def test_torn_lines_come_in_and_are_told(run: RunFolder, tmp_path: Path) -> None
         ({}, "it contains no run"),
     ],
 )
-def test_folder_that_is_no_run_is_refused(tmp_path: Path, files: dict[str, bytes], told: str) -> None:
+def test_folder_that_is_no_run_is_refused(tmp_path, files, told):
     with pytest.raises(UsageError) as caught:
         import_runs(pack(tmp_path / "x.tar.gz", files), tmp_path / "runs")
     assert told in str(caught.value)
     assert list((tmp_path / "runs").iterdir()) == []
 
 
-def test_an_error_between_two_runs_takes_back_the_first(
-    run: RunFolder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_error_between_two_runs_takes_back_the_first(run, tmp_path, monkeypatch):
     export_runs([run], tmp_path / "x.tar.gz")
     (second,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "second")
     path = Path(second.summary.folder).rename(tmp_path / "second" / "reach-s3-z")

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 import math
 from dataclasses import replace
@@ -41,7 +39,7 @@ def line(row: dict[str, Any]) -> bytes:
 
 
 @given(results)
-def test_line_gives_the_evaluation_back(test: Evaluation) -> None:
+def test_line_gives_the_evaluation_back(test):
     about = {"checkpoint": "best", "sha256": "a", "seed": 0, "overrides": ("a=1",), "randomized": True, "time": "now"}
     for one in (test, replace(test, **about, wall_seconds=0.0, versions={"karolos": "1"}, own=test.counts)):
         assert repr(decode(line(one.encode()))) == repr(one)
@@ -49,7 +47,7 @@ def test_line_gives_the_evaluation_back(test: Evaluation) -> None:
 
 
 @given(results)
-def test_lines_of_older_versions_are_read(test: Evaluation) -> None:
+def test_lines_of_older_versions_are_read(test):
     row = test.encode()
     of_0_1 = {name: row[name] for name in ("steps", "seconds", "any", "end", "reset", "returns", "lengths")}
     of_0_1 |= {} if test.has_success else {"has_success": False}
@@ -60,7 +58,7 @@ def test_lines_of_older_versions_are_read(test: Evaluation) -> None:
 
 
 @given(results)
-def test_numbers_are_those_of_the_episodes(test: Evaluation) -> None:
+def test_numbers_are_those_of_the_episodes(test):
     some, end = (sum(flags) / test.episodes if test.has_success else None for flags in (test.any, test.end))
     assert (test.success_any, test.success_end, test.episodes) == (some, end, len(test.any))
     assert test.mean_return is None or test.mean_return == pytest.approx(
@@ -76,18 +74,18 @@ def test_numbers_are_those_of_the_episodes(test: Evaluation) -> None:
 
 
 @pytest.mark.parametrize("returns", [(math.nan, 1.0), (math.inf, 1.0), (math.inf, -math.inf), (1e308, 1e308)])
-def test_mean_return_that_is_not_finite_is_unknown(returns: tuple[float, float]) -> None:
+def test_mean_return_that_is_not_finite_is_unknown(returns):
     test = result(10, 1, episodes=2, returns=returns)
     assert test.mean_return is None
     assert math.isnan(test.known_return)
 
 
-def test_text_of_an_environment_without_success_is_its_return() -> None:
+def test_text_of_an_environment_without_success_is_its_return():
     assert TEST.text == "success end 0.50, any 0.50, return -1.50"
     assert result(10, 1, episodes=2, has_success=False).text == "return -1.50"
 
 
-def test_line_that_is_cut_anywhere_is_no_evaluation() -> None:
+def test_line_that_is_cut_anywhere_is_no_evaluation():
     whole = line(TEST.encode())[:-1]
     assert not [end for end in range(len(whole)) if decode(whole[:end])]
 
@@ -99,13 +97,13 @@ def test_line_that_is_cut_anywhere_is_no_evaluation() -> None:
         *({"returns": None}, {"lengths": [None]}, {"distances": [0.1]}, {"episodes": 3}),
     ],
 )
-def test_line_that_holds_no_whole_evaluation_is_none(change: dict[str, Any]) -> None:
+def test_line_that_holds_no_whole_evaluation_is_none(change):
     assert decode(TEST.encode()) == TEST
     assert decode(TEST.encode() | change) is None
 
 
 @pytest.mark.parametrize(("best", "lines"), [("a", 1), ("a", 2), ("b", 2), (None, 1)])
-def test_final_tests_of_older_versions_are_read(best: str | None, lines: int) -> None:
+def test_final_tests_of_older_versions_are_read(best, lines):
     """Their first line describes the policies; where the last is the best, 0.1 has two lines and 0.2 one."""
     written = [line({"seed": 7, "last": "a", "best": best}), *[line(TEST.encode())] * lines]
     last = replace(TEST, checkpoint="last", sha256="a", seed=7)

@@ -1,8 +1,5 @@
-from __future__ import annotations
-
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
@@ -11,7 +8,7 @@ from karolos.records import labels
 from karolos.records.labels import Labels
 
 
-def test_tags_and_note_are_kept_and_changed(tmp_path: Path) -> None:
+def test_tags_and_note_are_kept_and_changed(tmp_path):
     assert labels.read(tmp_path) == Labels()
     labels.add_tags(tmp_path, ["good", "a b", "good"])
     labels.set_note(tmp_path, "two\nlines <script>")
@@ -23,19 +20,19 @@ def test_tags_and_note_are_kept_and_changed(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("tag", ["", " ", " x", "x\n", "a\nb", "a\0b", "x" * 201, "\ud800"])
-def test_text_that_is_no_tag_is_refused_and_changes_nothing(tmp_path: Path, tag: str) -> None:
+def test_text_that_is_no_tag_is_refused_and_changes_nothing(tmp_path, tag):
     with pytest.raises(UsageError, match="is not a tag; 1 to 200 characters"):
         labels.add_tags(tmp_path, ["good", tag])
     assert labels.read(tmp_path) == Labels()
 
 
-def test_note_that_is_too_long_is_refused(tmp_path: Path) -> None:
+def test_note_that_is_too_long_is_refused(tmp_path):
     with pytest.raises(UsageError, match="the note has 100,001 characters"):
         labels.set_note(tmp_path, "x" * 100_001)
 
 
 @pytest.mark.parametrize("text", ['{"tags": ["go', '{"tags": ["b", 3], "note": null}', '{"tags": [], "note": 7}'])
-def test_damaged_labels_are_not_written_over(tmp_path: Path, text: str) -> None:
+def test_damaged_labels_are_not_written_over(tmp_path, text):
     (tmp_path / "labels.json").write_text(text)
     assert labels.is_damaged(tmp_path)
     assert labels.read(tmp_path) == Labels()
@@ -44,7 +41,7 @@ def test_damaged_labels_are_not_written_over(tmp_path: Path, text: str) -> None:
     assert (tmp_path / "labels.json").read_text() == text
 
 
-def test_processes_that_tag_at_once_lose_nothing(tmp_path: Path) -> None:
+def test_processes_that_tag_at_once_lose_nothing(tmp_path):
     script = "import sys, pathlib; from karolos.records import labels\n"
     script += "for n in range(5): labels.add_tags(pathlib.Path(sys.argv[1]), [f'{sys.argv[2]}-{n}'])"
     writers = [subprocess.Popen([sys.executable, "-c", script, str(tmp_path), str(index)]) for index in range(4)]

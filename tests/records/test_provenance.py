@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import os
 import subprocess
 import sys
@@ -31,13 +29,13 @@ def work_tree(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_clean_work_tree_has_a_commit_and_no_diff(work_tree: Path) -> None:
+def test_clean_work_tree_has_a_commit_and_no_diff(work_tree):
     commit, diff = provenance.code(work_tree) or ({}, "")
     assert len(commit["commit"]) == 40
     assert (commit["dirty"], diff, commit["untracked"]) == (False, "", [])
 
 
-def test_changes_are_kept_as_a_diff_and_new_files_are_named(work_tree: Path) -> None:
+def test_changes_are_kept_as_a_diff_and_new_files_are_named(work_tree):
     (work_tree / "robot.py").write_text("speed = 2\nurl = 'https://me:secret@example.org'\n")
     (work_tree / "new file.py").write_text("")
     for name in (".env", "deploy.PEM", "home/.ssh/config", "my_credentials.yaml"):
@@ -52,7 +50,7 @@ def test_changes_are_kept_as_a_diff_and_new_files_are_named(work_tree: Path) -> 
     assert commit["untracked"] == ["new file.py"]
 
 
-def test_long_diff_is_cut_off(work_tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_long_diff_is_cut_off(work_tree, monkeypatch):
     monkeypatch.setattr(provenance, "DIFF_BYTES", 200)
     (work_tree / "robot.py").write_text("x" * 10_000)
     code = provenance.code(work_tree)
@@ -60,7 +58,7 @@ def test_long_diff_is_cut_off(work_tree: Path, monkeypatch: pytest.MonkeyPatch) 
     assert len(code[1]) == 200
 
 
-def test_programs_that_a_configuration_names_are_not_run(work_tree: Path) -> None:
+def test_programs_that_a_configuration_names_are_not_run(work_tree):
     trap = work_tree / "trap.sh"
     trap.write_text(f"#!/bin/sh\ntouch {work_tree}/sprung\n")
     trap.chmod(0o755)
@@ -73,12 +71,12 @@ def test_programs_that_a_configuration_names_are_not_run(work_tree: Path) -> Non
     assert not (work_tree / "sprung").exists()
 
 
-def test_folder_without_git_has_no_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_folder_without_git_has_no_code(tmp_path, monkeypatch):
     monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
     assert provenance.code(tmp_path) is None
 
 
-def test_machine_without_git_has_no_code(work_tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_machine_without_git_has_no_code(work_tree, monkeypatch):
     monkeypatch.setenv("PATH", "")
     assert provenance.code(work_tree) is None
 
@@ -107,9 +105,7 @@ FILES = {
         ("meshes", "meshes/a.stl meshes/b.stl meshes/c.stl meshes/d.npy"),
     ],
 )
-def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(
-    tmp_path: Path, top: str, reads: str
-) -> None:
+def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(tmp_path, top, reads):
     (tmp_path / "meshes").mkdir()
     (tmp_path / "beside").mkdir()
     for name, text in FILES.items():
@@ -123,9 +119,7 @@ def test_a_fingerprint_changes_with_each_file_that_is_read_and_with_no_other(
     assert fingerprint(tmp_path / "missing") is None
 
 
-def test_large_files_and_folders_and_what_is_written_keep_a_spec_fast(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_large_files_and_folders_and_what_is_written_keep_a_spec_fast(tmp_path, monkeypatch):
     with (tmp_path / "large.npy").open("wb") as file:
         file.truncate(1 << 36)  # without blocks on the disk
     before, start = fingerprint(tmp_path / "large.npy"), time.process_time()
@@ -145,7 +139,7 @@ def test_large_files_and_folders_and_what_is_written_keep_a_spec_fast(
     assert list(spec.files()) == ["environment.kwargs.data"]
 
 
-def test_disorder_in_a_package_ends_nothing_and_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_disorder_in_a_package_ends_nothing_and_is_named(tmp_path, monkeypatch):
     package = tmp_path / "untidy_package"
     (package / "old.py").mkdir(parents=True)
     for link, target in ((".#m.py", "me@host.1:2"), ("gone.stl", "nowhere"), ("loop", ".")):
@@ -157,7 +151,7 @@ def test_disorder_in_a_package_ends_nothing_and_is_named(tmp_path: Path, monkeyp
     assert [line.split(": ")[:2] for line in unread] == [["untidy_package", name] for name in ("gone.stl", "pipe.py")]
 
 
-def test_versions_name_python_and_every_dependency() -> None:
+def test_versions_name_python_and_every_dependency():
     versions = provenance.versions()
     assert versions["python"] == sys.version.split()[0]
     assert versions["torch"] == metadata.version("torch")
@@ -165,7 +159,7 @@ def test_versions_name_python_and_every_dependency() -> None:
     assert "pytest" not in versions  # an extra
 
 
-def test_command_line_tells_no_path_and_no_password(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_command_line_tells_no_path_and_no_password(monkeypatch):
     given = ["--database=postgresql://me:pass@host/db?password=x", "agent.api_key=x", "--token", "x", "/home/me/s.yaml"]
     monkeypatch.setattr(sys, "argv", ["/home/me/bin/karolos", "run", *given])
     told = ["--database=postgresql://***@host/db?password=***", "agent.api_key=***", "--token", "***", ".../s.yaml"]
@@ -204,5 +198,5 @@ ORDINARY = (
         *((text, text) for text in ORDINARY),
     ],
 )
-def test_redaction_hides_secrets_only(text: str, expected: str) -> None:
+def test_redaction_hides_secrets_only(text, expected):
     assert recorded({"what": [text], "secret": text}) == {"what": [expected], "secret": "***"}

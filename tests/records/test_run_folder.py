@@ -1,11 +1,8 @@
-from __future__ import annotations
-
 import json
 import os
 import subprocess
 import sys
 from datetime import UTC, datetime, timedelta, timezone
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +17,7 @@ from karolos.records import RunFolder, run_folder, scan
 from karolos.records.run_records import timestamp
 
 
-def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_collision_adds_a_number(tmp_path, monkeypatch):
     class Clock(datetime):
         @classmethod
         def now(cls, tz: Any = None) -> datetime:
@@ -31,19 +28,19 @@ def test_collision_adds_a_number(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert ids == ["reach-s0-20260102-030405", "reach-s0-20260102-030405-2", "reach-s0-20260102-030405-3"]
 
 
-def test_runs_folder_that_is_a_file_is_told(tmp_path: Path) -> None:
+def test_runs_folder_that_is_a_file_is_told(tmp_path):
     (tmp_path / "runs").write_text("")
     for attempt in (RunFolder.check_writable, lambda runs: RunFolder.create(runs, "x", 0)):
         with pytest.raises(MachineError, match=r"runs: a file is in the way of a folder; name another"):
             attempt(tmp_path / "runs")
 
 
-def test_check_writable_makes_the_folder_and_leaves_it_empty(tmp_path: Path) -> None:
+def test_check_writable_makes_the_folder_and_leaves_it_empty(tmp_path):
     RunFolder.check_writable(tmp_path / "a" / "b")
     assert list((tmp_path / "a" / "b").iterdir()) == []
 
 
-def test_folder_says_what_the_run_was_made_from(tmp_path: Path) -> None:
+def test_folder_says_what_the_run_was_made_from(tmp_path):
     run = new_run(tmp_path, text="robot: panda  # mine\n")
     assert (run.path / "spec.yaml").read_text() == "robot: panda  # mine\n"
     opened = RunFolder.open(run.path)
@@ -56,7 +53,7 @@ def test_folder_says_what_the_run_was_made_from(tmp_path: Path) -> None:
     assert "remote" not in text
 
 
-def test_changed_code_is_kept_beside_the_commit(tmp_path: Path) -> None:
+def test_changed_code_is_kept_beside_the_commit(tmp_path):
     tree = tmp_path / "tree"
     tree.mkdir()
     (tree / "a.py").write_text("1\n")
@@ -69,14 +66,14 @@ def test_changed_code_is_kept_beside_the_commit(tmp_path: Path) -> None:
     assert "+2" in (run.path / "code.diff").read_text()
 
 
-def test_folder_is_no_run_before_it_is_described(tmp_path: Path) -> None:
+def test_folder_is_no_run_before_it_is_described(tmp_path):
     run = RunFolder.create(tmp_path, "x", 0)
     assert list(scan(tmp_path)) == []
     with pytest.raises(RunError, match="not a run folder"):
         RunFolder.open(run.path)
 
 
-def test_state_is_kept_and_steps_stay_when_not_given(tmp_path: Path) -> None:
+def test_state_is_kept_and_steps_stay_when_not_given(tmp_path):
     run = new_run(tmp_path)
     assert run.state().state == "created"
     run.set_state("running")
@@ -91,9 +88,7 @@ def test_state_is_kept_and_steps_stay_when_not_given(tmp_path: Path) -> None:
     ("stored", "seen"),
     [("created", "created"), ("running", "lost"), ("finished", "finished"), ("stopped", "stopped")],
 )
-def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(
-    tmp_path: Path, stored: str, seen: str
-) -> None:
+def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(tmp_path, stored, seen):
     run = new_run(tmp_path)
     run.set_state(stored)
     assert RunFolder.open(run.path).state().state == stored
@@ -102,14 +97,14 @@ def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(
     assert json.loads((run.path / "state.json").read_text())["state"] == stored  # a reader writes nothing
 
 
-def test_run_whose_second_process_died_before_it_resumed_is_lost(tmp_path: Path) -> None:
+def test_run_whose_second_process_died_before_it_resumed_is_lost(tmp_path):
     run = new_run(tmp_path)
     run.next_attempt()
     run.release()
     assert RunFolder.open(run.path).state().state == "lost"
 
 
-def test_run_that_ends_between_two_looks_is_not_lost(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_run_that_ends_between_two_looks_is_not_lost(tmp_path, monkeypatch):
     run = new_run(tmp_path)
     run.set_state("running")
     reader = RunFolder.open(run.path)
@@ -123,7 +118,7 @@ def test_run_that_ends_between_two_looks_is_not_lost(tmp_path: Path, monkeypatch
     assert reader.state().state == "finished"
 
 
-def test_second_process_on_a_run_is_refused(tmp_path: Path) -> None:
+def test_second_process_on_a_run_is_refused(tmp_path):
     run = new_run(tmp_path)
     other = RunFolder.open(run.path)
     with pytest.raises(RunError, match="another process is running it"):
@@ -136,14 +131,14 @@ def test_second_process_on_a_run_is_refused(tmp_path: Path) -> None:
     other.release()
 
 
-def test_repeated_test_replaces_the_first(tmp_path: Path) -> None:
+def test_repeated_test_replaces_the_first(tmp_path):
     run = new_run(tmp_path)
     for each in (result(100, 3), result(200, 4), result(100, 5)):
         run.add_test(each)
     assert run.tests() == (result(100, 5), result(200, 4))
 
 
-def test_torn_test_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
+def test_torn_test_is_told_and_the_rest_is_read(tmp_path):
     run = new_run(tmp_path)
     run.add_test(result(100, 3))
     with (run.path / "tests.jsonl").open("a") as file:
@@ -156,7 +151,7 @@ def test_torn_test_is_told_and_the_rest_is_read(tmp_path: Path) -> None:
     assert run.tests() == (result(100, 3), result(300, 4))
 
 
-def test_the_process_that_runs_it_reads_its_tests_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_process_that_runs_it_reads_its_tests_once(tmp_path, monkeypatch):
     read: list[str] = []
     monkeypatch.setattr(
         run_folder, "read_values", lambda path, *more: read.append(path.name) or read_values(path, *more)
@@ -174,7 +169,7 @@ def test_the_process_that_runs_it_reads_its_tests_once(tmp_path: Path, monkeypat
     assert run.tests() == (result(100, 3), result(200, 3), result(300, 4))
 
 
-def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path: Path) -> None:
+def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path):
     run = new_run(tmp_path)
     run.event("started", processes=2)
     assert run.record().problems == ()
@@ -187,7 +182,7 @@ def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path: Path
     assert record.summary.state == "lost"
 
 
-def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path: Path) -> None:
+def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path):
     run = new_run(tmp_path)
     before = run.summary()
     assert (before.success_any, before.success_end, before.steps_to_95, before.episodes) == (None, None, None, None)
@@ -207,7 +202,7 @@ def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path: P
     "text",
     ["", "[]", '{"id": "x"}', '{"format":1,"id":"../x","name":"x","seed":0,"created":"","experiment":""}', "\x00"],
 )
-def test_damaged_description_is_told_and_does_not_hide_the_others(tmp_path: Path, text: str) -> None:
+def test_damaged_description_is_told_and_does_not_hide_the_others(tmp_path, text):
     good, bad = new_run(tmp_path), new_run(tmp_path)
     (bad.path / "run.json").write_text(text)
     with pytest.raises(RunError, match=r"run\.json is damaged"):
@@ -217,7 +212,7 @@ def test_damaged_description_is_told_and_does_not_hide_the_others(tmp_path: Path
     assert good.id in {each.id for each in scan(tmp_path) if isinstance(each, RunFolder)}
 
 
-def test_folder_of_a_newer_karolos_is_told(tmp_path: Path) -> None:
+def test_folder_of_a_newer_karolos_is_told(tmp_path):
     run = new_run(tmp_path)
     text = (run.path / "run.json").read_text().replace('"format": 1', '"format": 2')
     (run.path / "run.json").write_text(text)
@@ -226,14 +221,14 @@ def test_folder_of_a_newer_karolos_is_told(tmp_path: Path) -> None:
 
 
 @given(st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1)), st.timedeltas(), st.integers(-12, 12))
-def test_timestamps_sort_like_times(first: datetime, later: timedelta, hours: int) -> None:
+def test_timestamps_sort_like_times(first, later, hours):
     ours = first.replace(tzinfo=timezone(timedelta(hours=hours)))
     theirs = ours.astimezone(UTC) + abs(later) % timedelta(days=9000)
     assert (timestamp(ours) < timestamp(theirs)) == (ours < theirs)
     assert (timestamp(ours) == timestamp(theirs)) == (ours == theirs)
 
 
-def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(tmp_path: Path) -> None:
+def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(tmp_path):
     run = new_run(tmp_path)
     assert run.stages(STAGE) == {}
     begun = [(1.0, 0.0, True), (0.0, 1.0, False), (0.0, 0.0, True), (1.0, 0.0, False)] * 3

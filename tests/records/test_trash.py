@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -17,7 +15,7 @@ def run(tmp_path: Path) -> RunFolder:
     return folder
 
 
-def test_run_comes_back_as_it_was(run: RunFolder, tmp_path: Path) -> None:
+def test_run_comes_back_as_it_was(run, tmp_path):
     before = run.record()
     thrown = trash.throw_away(run)
     assert thrown == tmp_path / ".trash" / run.id
@@ -27,13 +25,13 @@ def test_run_comes_back_as_it_was(run: RunFolder, tmp_path: Path) -> None:
     assert trash.thrown_away(tmp_path) == []
 
 
-def test_run_that_goes_on_stays(tmp_path: Path) -> None:
+def test_run_that_goes_on_stays(tmp_path):
     with new_run(tmp_path, source=tmp_path) as run, pytest.raises(RunError, match="another process is running it"):
         trash.throw_away(RunFolder.open(run.path))
     assert run.path.is_dir()
 
 
-def test_run_that_is_there_again_is_not_replaced(run: RunFolder, tmp_path: Path) -> None:
+def test_run_that_is_there_again_is_not_replaced(run, tmp_path):
     thrown = trash.throw_away(run)
     with new_run(tmp_path, source=tmp_path) as second:
         pass
@@ -43,7 +41,7 @@ def test_run_that_is_there_again_is_not_replaced(run: RunFolder, tmp_path: Path)
     assert thrown.is_dir()
 
 
-def test_run_thrown_away_twice_is_kept_twice(run: RunFolder, tmp_path: Path) -> None:
+def test_run_thrown_away_twice_is_kept_twice(run, tmp_path):
     first = trash.throw_away(run)
     with new_run(tmp_path, source=tmp_path) as second:
         pass
@@ -58,7 +56,7 @@ def test_run_thrown_away_twice_is_kept_twice(run: RunFolder, tmp_path: Path) -> 
             trash.find(tmp_path, nothing)
 
 
-def test_purge_removes_only_what_lies_in_the_trash(run: RunFolder, tmp_path: Path) -> None:
+def test_purge_removes_only_what_lies_in_the_trash(run, tmp_path):
     with pytest.raises(RunError, match="is not in the trash"):
         trash.purge(run.path)
     thrown = trash.throw_away(run)

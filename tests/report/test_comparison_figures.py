@@ -1,6 +1,3 @@
-from __future__ import annotations
-
-from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
@@ -32,7 +29,7 @@ def artists(drawing: Drawing, classes: str) -> list[Any]:
     return [artist for artist in drawing.axes.get_children() if artist.get_gid() in gids]
 
 
-def test_of_thousands_of_seeds_some_lines_are_drawn_and_the_caption_says_so() -> None:
+def test_of_thousands_of_seeds_some_lines_are_drawn_and_the_caption_says_so():
     found = compare([contender("many", [[k % 90, 90] for k in range(1000)])])
     curves, dots = figures.learning(found, "steps"), figures.final(found)
     assert sum("seed series" in classes for classes, _ in curves.parts.values()) == figures.MOST_APART
@@ -42,7 +39,7 @@ def test_of_thousands_of_seeds_some_lines_are_drawn_and_the_caption_says_so() ->
 
 
 @pytest.mark.parametrize("axis", ["steps", "seconds"])
-def test_every_seed_and_one_statistic_of_all_contenders_is_drawn(axis: Any) -> None:
+def test_every_seed_and_one_statistic_of_all_contenders_is_drawn(axis):
     assert "inter-quartile" in figures.learning(compare([contender("a", CURVES)], "any"), axis).caption
     mixed = figures.learning(compare([contender("a", CURVES), contender("b", CURVES[:2])], "any"), axis)
     assert "inter-quartile" not in mixed.caption
@@ -53,7 +50,7 @@ def test_every_seed_and_one_statistic_of_all_contenders_is_drawn(axis: Any) -> N
     assert mean.get_ydata()[-1] == pytest.approx(0.74)
 
 
-def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
+def test_density_has_a_column_for_each_test_and_one_scale_for_all():
     compared = compare([contender("a", CURVES), contender("b", [[100] * 3] * 5), contender("c", [[5, 5, 5]])], "any")
     drawings = list(figures.density_figures(compared))
     assert [(drawing.title, drawing.series) for drawing in drawings] == [("a", 0), ("b", 1)]  # one seed has no density
@@ -65,14 +62,14 @@ def test_density_has_a_column_for_each_test_and_one_scale_for_all() -> None:
     assert shades[0][:, -1].max() < 0.5
 
 
-def test_profile_is_a_step_function_down_from_all_seeds() -> None:
+def test_profile_is_a_step_function_down_from_all_seeds():
     [line] = artists(figures.profiles(compare([contender("a", [[20], [50], [100], [100]])], "any")), "main series-0")
     assert line.get_drawstyle() == "steps-pre"
     assert line.get_xdata().tolist() == [0.2, 0.5, 1]
     assert line.get_ydata().tolist() == [1, 0.75, 0.5]
 
 
-def test_final_success_shows_each_seed_by_its_run() -> None:
+def test_final_success_shows_each_seed_by_its_run():
     drawing = figures.final(compare([contender("a", CURVES)], "any"))
     dots = artists(drawing, "dot series-0")
     assert [dot.get_xdata()[0] for dot in dots] == [0.9, 1.0, 0.95, 0.0, 0.85]
@@ -82,7 +79,7 @@ def test_final_success_shows_each_seed_by_its_run() -> None:
 @pytest.mark.parametrize(
     ("successes", "low", "high"), [((994, 999), 0.98, 1), ((998, 1000), 0.98, 1), ((0, 90), 0, 0.12), ((0, 990), 0, 1)]
 )
-def test_axes_of_ratios_show_what_is_there_and_say_so(successes: tuple[int, int], low: float, high: float) -> None:
+def test_axes_of_ratios_show_what_is_there_and_say_so(successes, low, high):
     compared = compare(
         [contender(name, [[one]], episodes=1000) for name, one in zip("ab", successes, strict=True)], "any"
     )
@@ -92,7 +89,7 @@ def test_axes_of_ratios_show_what_is_there_and_say_so(successes: tuple[int, int]
         assert ("only" in drawing.caption) == (high - low < 0.6)
 
 
-def test_verdict_names_the_best_and_who_differs_from_the_first() -> None:
+def test_verdict_names_the_best_and_who_differs_from_the_first():
     curves = {"a": range(40, 60, 2), "b": range(80, 100, 2), "c": range(41, 61, 2), "d": [90]}
     assert verdict(compare([contender("d", [[90]])], "any")).endswith("0.900 [0.826, 0.945] over 1 seed.")
     compared = compare([contender(name, [[one] for one in ends]) for name, ends in curves.items()], "any")
@@ -102,7 +99,7 @@ def test_verdict_names_the_best_and_who_differs_from_the_first() -> None:
     )
 
 
-def test_returns_are_drawn_on_their_own_axis() -> None:
+def test_returns_are_drawn_on_their_own_axis():
     compared = compare([contender("a", CURVES), contender("b", CURVES[:1])], "return")
     drawings = drawn(compared)
     assert [drawing.name for drawing in drawings] == [name.replace("success", "return") for name in NAMES[:4]]
@@ -112,7 +109,7 @@ def test_returns_are_drawn_on_their_own_axis() -> None:
     assert line.get_xdata().tolist() == [-200, -115, -110, -105, -100]
 
 
-def test_a_return_that_is_not_finite_is_not_drawn() -> None:
+def test_a_return_that_is_not_finite_is_not_drawn():
     diverged = Contender("a", (run(0, [50], final=True, mean_return=None), run(1, [60])))
     for runs in (diverged, Contender("a", diverged.runs[:1])):
         drawing = figures.final(compare([runs], "return"))
@@ -121,7 +118,7 @@ def test_a_return_that_is_not_finite_is_not_drawn() -> None:
         assert len(drawn(compare([runs], "return"))) == 2 * len(runs.runs)  # no empty axes
 
 
-def test_figures_are_chosen_by_kind_or_name_and_named_by_experiment() -> None:
+def test_figures_are_chosen_by_kind_or_name_and_named_by_experiment():
     compared = compare([contender(name, CURVES) for name in ("a b", "a/b", "c")], "any")
     names = [one.name for one in drawn(compared, "densities", "final_success")]
     assert names == ["final_success", "density_a_b_1", "density_a_b_2", "density_c"]
@@ -129,7 +126,7 @@ def test_figures_are_chosen_by_kind_or_name_and_named_by_experiment() -> None:
         drawn(compared, "final_sucess")
 
 
-def test_single_test_at_step_zero_can_be_drawn() -> None:
+def test_single_test_at_step_zero_can_be_drawn():
     runs = (run(0, [50], interval=0), run(1, [60], interval=0))
     for drawing in drawn(compare([Contender("a", runs)], "any")):
         low, high = drawing.axes.get_xlim()
@@ -137,7 +134,7 @@ def test_single_test_at_step_zero_can_be_drawn() -> None:
         assert "<svg" in drawing.svg()
 
 
-def test_every_figure_is_written_in_every_format_and_the_same_each_time(tmp_path: Path) -> None:
+def test_every_figure_is_written_in_every_format_and_the_same_each_time(tmp_path):
     written, again = (
         write_figures(drawn(comparison())[:count], tmp_path / "new" / str(count)) for count in (len(NAMES), 2)
     )
@@ -151,7 +148,7 @@ def test_every_figure_is_written_in_every_format_and_the_same_each_time(tmp_path
         write_figures([], written[0] / "figures")
 
 
-def test_figure_of_a_page_has_classes_and_tooltips() -> None:
+def test_figure_of_a_page_has_classes_and_tooltips():
     svg = figures.learning(comparison(), "steps").svg()
     root = ElementTree.fromstring(svg)
     seeds = [element for element in root.iter("g") if element.get("class") == "seed series-0"]
@@ -159,14 +156,14 @@ def test_figure_of_a_page_has_classes_and_tooltips() -> None:
     assert "http" not in svg
 
 
-def test_long_names_keep_both_ends() -> None:
+def test_long_names_keep_both_ends():
     assert short("panda_pick_place_sac_slow", 16) == "panda_p…sac_slow"
     assert short("x" * 16, 16) == "x" * 16
     assert short("a\x1bb") == "a\ufffdb"
 
 
 @pytest.mark.parametrize("colour", COLOURS)
-def test_colours_stand_out_from_white(colour: str) -> None:
+def test_colours_stand_out_from_white(colour):
     """WCAG 2.2, 1.4.3: text needs a contrast of 4.5 to 1."""
     channels = [int(colour[place : place + 2], 16) / 255 for place in (1, 3, 5)]
     linear = [c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4 for c in channels]

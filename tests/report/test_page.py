@@ -1,7 +1,5 @@
 """The page as text, and in headless Chromium: what is drawn, at which width, and what the console says."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import subprocess
@@ -29,7 +27,7 @@ def usual() -> str:
     return text_of(comparison())
 
 
-def test_page_shows_figures_numbers_warnings_settings_and_runs() -> None:
+def test_page_shows_figures_numbers_warnings_settings_and_runs():
     other = SPEC | {"agent": {"name": "ppo"}}
     text = text_of(compare([contender("one", CURVES), contender("two", CURVES[:2], spec=other)]))
     assert text.count("<figure") == text.count("</svg><figcaption>") == 6
@@ -46,20 +44,20 @@ def test_page_shows_figures_numbers_warnings_settings_and_runs() -> None:
     assert text.count("two-s1") >= 2  # in the table and on its lines
 
 
-def test_page_of_returns_shows_no_success() -> None:
+def test_page_of_returns_shows_no_success():
     text = text_of(compare([contender("one", CURVES, has_success=False)]))
     assert text.count("<figure") == 4
     assert "-126.000 ~[" in text
     assert "success" not in re.sub(r"<title>.*?</title>|<h2>.*?</h2>|thresholds?.*?success only", "", text)
 
 
-def test_single_runs_of_the_same_spec_have_no_densities_and_no_settings() -> None:
+def test_single_runs_of_the_same_spec_have_no_densities_and_no_settings():
     text = text_of(compare([contender("one", [[10]]), contender("two", [[20]])]))
     assert "Density of" not in text
     assert "The specs are the same." in text
 
 
-def test_every_text_is_escaped_and_cleaned() -> None:
+def test_every_text_is_escaped_and_cleaned():
     text = text_of(evil())
     assert text.count("&lt;script&gt;alert(1)&lt;/script&gt;") >= 10
     signs = "a\x1b[2J\u202eb\nc"
@@ -69,7 +67,7 @@ def test_every_text_is_escaped_and_cleaned() -> None:
     assert not re.search("<script|<img|\x1b|\u202e", text)
 
 
-def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice(usual: str) -> None:
+def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice(usual):
     text = usual
     assert not re.search(r"https?:|@import|src=|href=\"(?!#|data:image/png;base64,)|url\((?!#)", text)
     [policy] = re.findall(r'Content-Security-Policy" content="(.*?)"', text.partition("<style>")[0])
@@ -82,17 +80,17 @@ def test_page_asks_for_nothing_from_elsewhere_and_no_id_stands_twice(usual: str)
 
 
 @pytest.mark.parametrize("box", ["show-0", "show-1", "seeds"])
-def test_each_box_of_the_legend_hides_something_without_a_script(box: str, usual: str) -> None:
+def test_each_box_of_the_legend_hides_something_without_a_script(box, usual):
     assert f'id="{box}"' in usual
     [hidden] = re.findall(rf"body:has\(#{box}:not\(:checked\)\) \.(\S+){{display:none}}", usual)
     assert re.search(rf'class="[^"]*\b{hidden}\b', usual)
 
 
-def test_same_comparison_gives_the_same_page(usual: str) -> None:
+def test_same_comparison_gives_the_same_page(usual):
     assert text_of(comparison()) == usual
 
 
-def test_seventh_contender_is_dashed() -> None:
+def test_seventh_contender_is_dashed():
     text = text_of(compare([contender(f"e{place}", [[10, 20]]) for place in range(7)]))
     assert text.count('stroke-dasharray="10 4 "') == 3  # in the legend and in two tables
     assert 'class="main series-6"' in text
@@ -166,9 +164,7 @@ def wide(tmp_path_factory: pytest.TempPathFactory, usual: str) -> tuple[_Picture
 
 @in_browser
 @pytest.mark.parametrize("markup", [False, True], ids=["usual", "with markup in every text"])
-def test_wide_page_draws_its_figures_side_by_side(
-    tmp_path: Path, wide: tuple[_Picture, list[str]], markup: bool
-) -> None:
+def test_wide_page_draws_its_figures_side_by_side(tmp_path, wide, markup):
     picture, console = opened(text_of(evil()), tmp_path, 1280) if markup else wide
     assert console == []
     check_figures(picture[:, :640], 3)
@@ -179,7 +175,7 @@ def test_wide_page_draws_its_figures_side_by_side(
 
 
 @in_browser
-def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_out(tmp_path: Path, usual: str) -> None:
+def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_out(tmp_path, usual):
     picture, console = opened(usual, tmp_path, 400)
     assert console == []
     check_figures(picture, 6)
@@ -188,8 +184,8 @@ def test_narrow_page_draws_its_figures_one_below_the_other_and_nothing_sticks_ou
 
 @in_browser
 def test_unchecked_box_hides_its_contender_and_the_security_policy_stops_what_should_ever_get_into_the_page(
-    tmp_path: Path, wide: tuple[_Picture, list[str]], usual: str
-) -> None:
+    tmp_path, wide, usual
+):
     """And shows that the tests above would hear of it."""
     foreign = '<script>console.error("ran")</script><img src="http://127.0.0.1:9/x.png"></body>'
     changed = usual.replace(' checked id="show-1"', ' id="show-1"').replace("</body>", foreign)

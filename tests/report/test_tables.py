@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import io
 import math
 from dataclasses import replace
@@ -38,7 +36,7 @@ def row(table: Table) -> dict[str, str]:
     return dict(zip(table.columns, table.rows[0], strict=True))
 
 
-def test_run_is_shown_with_the_interval_of_its_success() -> None:
+def test_run_is_shown_with_the_interval_of_its_success():
     assert row(runs_table([RUN])) == {
         "run": "reach-s0",
         "state": "finished",
@@ -52,7 +50,7 @@ def test_run_is_shown_with_the_interval_of_its_success() -> None:
     }
 
 
-def test_columns_without_a_value_are_left_out_and_returns_stand_alone_where_nothing_defines_success() -> None:
+def test_columns_without_a_value_are_left_out_and_returns_stand_alone_where_nothing_defines_success():
     untested = replace(RUN, **dict.fromkeys(TESTED, None))
     assert list(runs_table([untested]).columns) == ["run", "state", "steps", "time", "total"]
     returns = replace(untested, mean_return=-1234.567, best_return=-130.0)
@@ -63,7 +61,7 @@ def test_columns_without_a_value_are_left_out_and_returns_stand_alone_where_noth
     assert list(tests.columns) == ["steps", "time", "return", "episodes"]
 
 
-def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goal() -> None:
+def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goal():
     counts = Evaluation(1000, 100.0, 20, 18, 0, 3, -12.5)
     expected = {
         "steps": "1,000",
@@ -81,14 +79,14 @@ def test_test_is_shown_with_both_ways_to_count_and_how_many_ended_near_their_goa
 
 
 @pytest.mark.parametrize("evil", ["\x1b[2Jx", "\x9b31mx", "a\rb", "a\nb", "\u202ereversed", "\x07", "\ud800"])
-def test_text_from_a_file_cannot_steer_the_terminal(evil: str) -> None:
+def test_text_from_a_file_cannot_steer_the_terminal(evil):
     assert clean(evil).isprintable()
     text = shown(runs_table([replace(RUN, run=evil, state=evil)])) + shown(facts_table({evil: evil}))
     assert evil not in text
     assert all(sign.isprintable() or sign == "\n" for sign in text)
 
 
-def test_markup_in_a_text_is_shown_as_it_is_and_facts_without_a_value_are_not() -> None:
+def test_markup_in_a_text_is_shown_as_it_is_and_facts_without_a_value_are_not():
     text = shown(facts_table({"error": "[red]x[/red]", "none": None}))
     assert "[red]x[/red]" in text
     assert "none" not in text
@@ -106,15 +104,15 @@ def test_markup_in_a_text_is_shown_as_it_is_and_facts_without_a_value_are_not() 
         (90_000, "25 h 00 min"),
     ],
 )
-def test_durations_read_as_people_say_them(seconds: float | None, text: str) -> None:
+def test_durations_read_as_people_say_them(seconds, text):
     assert duration(seconds) == text
 
 
-def test_numbers_that_are_not_there_are_dashes() -> None:
+def test_numbers_that_are_not_there_are_dashes():
     assert (count(None), success(None, None), success(0.5, 0)) == ("-", "-", "-")
 
 
-def test_nested_spec_becomes_key_paths() -> None:
+def test_nested_spec_becomes_key_paths():
     spec = {"agent": {"name": "sac", "nets": {"hidden": [256, 256]}}, "robot": None, "empty": {}, "on": True}
     assert settings_table(spec, "spec").rows == [
         ("agent.name", "sac"),
@@ -125,6 +123,6 @@ def test_nested_spec_becomes_key_paths() -> None:
     ]
 
 
-def test_negative_numbers_stay_numbers_in_a_spreadsheet_and_formulas_do_not() -> None:
+def test_negative_numbers_stay_numbers_in_a_spreadsheet_and_formulas_do_not():
     text = csv_text([{"a": [-1.5, 2.0], "b": [-3e-05], "c": "-x", "d": ["-1", "=2"], "e": -4.0}])
     assert text == "a,b,c,d,e\n-1.5; 2.0,-3e-05,'-x,'-1; =2,-4.0\n"

@@ -6,7 +6,7 @@ from support.rig import ENGINES, ROBOTS, expert_episode, made
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_middle_of_the_workspace_is_above_the_origin(robot: str) -> None:
+def test_the_middle_of_the_workspace_is_above_the_origin(robot):
     centred, plain = (made("reach", robot, arm={"base": base}).robot for base in ("centred", "origin"))
     assert plain.base == (0.0, 0.0, 0.0)
     assert centred.workspace.centre[:2] == pytest.approx((0, 0), abs=1e-12)
@@ -16,7 +16,7 @@ def test_the_middle_of_the_workspace_is_above_the_origin(robot: str) -> None:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("task", ["reach", "push", "pick_place", "throw"])
-def test_an_episode_is_that_of_an_arm_at_the_origin_moved(task: str, engine: str) -> None:
+def test_an_episode_is_that_of_an_arm_at_the_origin_moved(task, engine):
     centred, plain = (
         made(task, "ur5", environment={"engine": engine}, arm={"base": base}) for base in ("centred", "origin")
     )

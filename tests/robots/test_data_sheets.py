@@ -74,7 +74,7 @@ def flange(robot: str, pose: tuple[float, ...]) -> Array:
 
 @pytest.mark.parametrize("robot", TO_TOOL)
 @pytest.mark.parametrize("pose", [(0.0,) * 7, None, (1.1, -0.6, 0.7, -2.2, -1.3, 1.9, 2.4)], ids=str)
-def test_forward_kinematics_is_that_of_the_published_table(robot: str, pose: tuple[float, ...] | None) -> None:
+def test_forward_kinematics_is_that_of_the_published_table(robot, pose):
     plugin = load("robots", robot)
     home = plugin.model.home
     joints = home if pose is None else pose[: len(home)]
@@ -85,7 +85,7 @@ def test_forward_kinematics_is_that_of_the_published_table(robot: str, pose: tup
         np.testing.assert_allclose(tool.x, (frame[:3, 0] - frame[:3, 1]) / 2**0.5, atol=1e-6)
 
 
-def test_the_panda_has_its_links_its_home_and_the_masses_that_were_identified() -> None:
+def test_the_panda_has_its_links_its_home_and_the_masses_that_were_identified():
     robot = Panda(Panda.Settings()).model.description.robot
     assert len(robot.findall("link")) == 7 + 2 + 1
     masses = [float(mass.get("value", "nan")) for mass in robot.iter("mass")]

@@ -11,7 +11,7 @@ DEEPEST = 0.005
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_full_joint_actions_bring_no_link_deep_into_the_floor(robot: str, engine: str) -> None:
+def test_full_joint_actions_bring_no_link_deep_into_the_floor(robot, engine):
     environment = made("reach", robot, environment={"engine": engine}, arm={"control": "joint"})
     arm: Any = environment.robot
     depth = 0.0

@@ -1,7 +1,5 @@
 """The robot `urdf`: an arm from somebody's file, with the gripper that a spec names."""
 
-from __future__ import annotations
-
 import re
 from itertools import product
 from pathlib import Path
@@ -43,7 +41,7 @@ def robot_of(**settings: object) -> FromFile:
     return FromFile(FromFile.Settings.model_validate(settings))
 
 
-def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm: Path) -> None:
+def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm):
     robot = robot_of(file=str(arm), gripper="robotiq_2f85")
     links = {link.get("name") for link in robot.model.description.robot.findall("link")}
     assert "pad1" not in links
@@ -66,7 +64,7 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
     assert other.model.cup is not None
 
 
-def test_a_file_counts_by_its_content_and_stands_relative_to_the_spec(arm: Path) -> None:
+def test_a_file_counts_by_its_content_and_stands_relative_to_the_spec(arm):
     spec = spec_in(arm.parent, "{name: urdf, file: small.urdf}")
     assert spec.robot is not None
     assert spec.robot.settings.model_dump()["file"] == str(arm)
@@ -78,7 +76,7 @@ def test_a_file_counts_by_its_content_and_stands_relative_to_the_spec(arm: Path)
     assert spec_in(arm.parent, "{name: urdf, file: other.urdf}").hash() != own
 
 
-def test_an_override_names_a_file_in_the_current_folder(arm: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_override_names_a_file_in_the_current_folder(arm, monkeypatch):
     monkeypatch.chdir(arm.parent)
     spec = load_spec("ur5_pick", ["robot.name=urdf", "robot.file=small.urdf"])
     assert spec.robot is not None
@@ -86,7 +84,7 @@ def test_an_override_names_a_file_in_the_current_folder(arm: Path, monkeypatch: 
     assert spec.robot.settings.model_dump()["tool_step"] == 0.034, "settings of all arms stay"
 
 
-def test_a_proposal_is_computed_once(arm: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_proposal_is_computed_once(arm, tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     first = robot_of(file=str(arm)).model
     from_file._cached.cache_clear()
@@ -96,12 +94,12 @@ def test_a_proposal_is_computed_once(arm: Path, tmp_path: Path, monkeypatch: pyt
     assert robot_of(file=str(moved)).model.urdf == moved
 
 
-def test_a_missing_file_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_file_is_one_line(tmp_path):
     with pytest.raises(UsageError, match=r"robot.file: there is no file .*none.urdf; name a URDF"):
         robot_of(file=str(tmp_path / "none.urdf"))
 
 
-def test_what_a_person_knows_is_not_assumed(arm: Path) -> None:
+def test_what_a_person_knows_is_not_assumed(arm):
     found = robot_of(file=str(arm))
     middle = [list(found.workspace.low), list(found.workspace.high)]
     middle[1][2] -= 0.05
@@ -116,7 +114,7 @@ def test_what_a_person_knows_is_not_assumed(arm: Path) -> None:
         robot_of(file=str(arm), gripper="robotiq_2f85", payload=0.1)
 
 
-def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm: Path, tmp_path: Path) -> None:
+def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm, tmp_path):
     text = arm.read_text().replace("package://small_description/meshes", "../meshes")
     for path, content in {arm: text, arm.with_name("package.urdf"): arm.read_text()}.items():
         path.write_text(content)
@@ -127,7 +125,7 @@ def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm: Path, tmp_p
         assert urdf.load(copy).joints == urdf.load(path).joints
 
 
-def test_a_run_reads_its_own_copy_of_the_file(arm: Path, tmp_path: Path) -> None:
+def test_a_run_reads_its_own_copy_of_the_file(arm, tmp_path):
     spec = spec_in(arm.parent, "{name: urdf, file: small.urdf}")
     own = spec.hash()
     with RunFolder.create(tmp_path / "runs", "reach", 0) as folder:
@@ -138,7 +136,7 @@ def test_a_run_reads_its_own_copy_of_the_file(arm: Path, tmp_path: Path) -> None
     assert str(folder.path) in str(again.robot)
 
 
-def test_episodes_of_a_slow_arm_are_longer_unless_somebody_says_how_long(arm: Path) -> None:
+def test_episodes_of_a_slow_arm_are_longer_unless_somebody_says_how_long(arm):
     arm.write_text(re.sub('velocity="2.5"', 'velocity="0.5"', arm.read_text()))
     saved = load_spec("ur5_reach")
     trained = signature_of(saved)
@@ -151,7 +149,7 @@ def test_episodes_of_a_slow_arm_are_longer_unless_somebody_says_how_long(arm: Pa
     assert signature_of(changed_spec(saved, [*overrides, "task.max_steps=7"], trained=trained)).max_steps == 7
 
 
-def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm: Path) -> None:
+def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm):
     strong = propose(arm).model
     arm.write_text(arm.read_text().replace('effort="80"', 'effort="14"'))
     weak = propose(arm).model
@@ -162,7 +160,7 @@ def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm: Path) -
     assert len(weak.accelerations) == len([joint for joint in description.joints if joint.revolute])
 
 
-def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm: Path) -> None:
+def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm):
     bodies, motors = "", ""
     for place, (height, axis, _, _, torque) in enumerate(LINKS, 1):
         bodies += f'<body name="b{place}" pos="0 0 {height}"><joint name="j{place}" axis="{axis}" range="-170 170"/>'
@@ -183,7 +181,7 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
 
 
-def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm: Path) -> None:
+def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm):
     plain, off, on = (
         spec_in(arm.parent, f"{{name: urdf, file: small.urdf{given}}}").hash()
         for given in ("", ", repair: false", ", repair: true")
@@ -197,7 +195,7 @@ def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm: 
     assert any(note.startswith("repaired: its effort is 0") for note in proposal_of(repaired.settings).notes)
 
 
-def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None:
+def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm):
     arm.write_text(re.sub(r'effort="\d+"', 'effort="9000"', arm.read_text(), count=len(LINKS)))
     ways = []
     for mass in (100.0, 400.0):
@@ -211,9 +209,7 @@ def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm: Path) -> None
     assert ways[1] == pytest.approx(ways[0], rel=0.02)
 
 
-def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(tmp_path, monkeypatch):
     info = tmp_path / "some_arms-1.0.dist-info"
     info.mkdir()
     (info / "METADATA").write_text("Metadata-Version: 2.1\nName: some-arms\nVersion: 1.0\n")
@@ -228,7 +224,7 @@ def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(
 
 
 @pytest.mark.parametrize(("gap", "apart"), [(0.006, True), (0.004, False), (-0.02, False)])
-def test_hulls_are_apart_by_their_true_distance_in_any_direction(gap: float, apart: bool) -> None:
+def test_hulls_are_apart_by_their_true_distance_in_any_direction(gap, apart):
     corners = np.array(list(product((-0.05, 0.05), repeat=3)))
     for turn in np.random.Generator(np.random.PCG64(0)).uniform(-3, 3, size=(20, 3)):
         rotation = urdf.rotation_matrix(*turn)

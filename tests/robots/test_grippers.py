@@ -32,7 +32,7 @@ def mass(robot: Element) -> float:
 
 @pytest.mark.parametrize("gripper", names("grippers"))
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_mounted_gripper_adds_its_mass_and_moves_the_tool_along_the_approach(robot: str, gripper: str) -> None:
+def test_a_mounted_gripper_adds_its_mass_and_moves_the_tool_along_the_approach(robot, gripper):
     plugin, part = load("robots", robot), load("grippers", gripper).model
     own, other = (plugin(plugin.Settings(gripper=name)) for name in (None, gripper))
     assert mass(other.model.description.robot) == pytest.approx(mass(urdf.read(plugin.model.urdf)) + part.mass)
@@ -43,7 +43,7 @@ def test_a_mounted_gripper_adds_its_mass_and_moves_the_tool_along_the_approach(r
         assert other.workspace == plugin.model.workspace
 
 
-def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path: Path) -> None:
+def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path):
     with pytest.raises(UsageError, match="cannot take the gripper franka_hand"):
         mounted(small_arm(tmp_path).model, "franka_hand")
     model = load("robots", "ur5").model
@@ -59,7 +59,7 @@ def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("robot", "task"), [*product(ROBOTS, ["pick_place"]), ("ur5", "stack")])
-def test_experts_pick_and_stack_with_a_suction_cup(robot: str, task: str) -> None:
+def test_experts_pick_and_stack_with_a_suction_cup(robot, task):
     with joined(candidate("robots", robot, gripper="vacuum"), candidate("tasks", task)) as environment:
         count = 20 if task == "pick_place" else 2
         found = evaluate(environment, expert_policy(environment), episodes=count, seed=0)
@@ -67,7 +67,7 @@ def test_experts_pick_and_stack_with_a_suction_cup(robot: str, task: str) -> Non
 
 
 @pytest.mark.parametrize(("share", "held"), [(0.9, True), (1.1, False)])
-def test_friction_at_the_lip_of_a_cup_holds_what_hangs_beside_it(share: float, held: bool) -> None:
+def test_friction_at_the_lip_of_a_cup_holds_what_hangs_beside_it(share, held):
     with grasping(candidate("robots", "ur5", gripper="vacuum", control="joint")) as environment:
         environment.reset(0)
         robot, cube = environment.robot, environment.task.cube
@@ -81,14 +81,14 @@ def test_friction_at_the_lip_of_a_cup_holds_what_hangs_beside_it(share: float, h
         assert (robot.pads_touching(cube) == 2) == held
 
 
-def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path: Path) -> None:
+def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path):
     text = "robot: {name: ur5, gripper: franka_hnd}\ntask: reach\nagent: sac\n"
     (line,) = problems_of(write(tmp_path, "s.yaml", text))
     expected = "s.yaml:1:29: robot.gripper: no gripper is called 'franka_hnd'; did you mean 'franka_hand'?"
     assert line.startswith(expected)
 
 
-def test_a_run_with_another_gripper_trains_and_tests(tmp_path: Path) -> None:
+def test_a_run_with_another_gripper_trains_and_tests(tmp_path):
     spec = load_spec(SMOKE, ["robot.gripper=vacuum", "training.steps=60", "testing.interval=60", "testing.episodes=2"])
     run = run_of(spec.dump(), tmp_path)
     assert run.spec()["robot"]["gripper"] == "vacuum"

@@ -23,7 +23,7 @@ def arm_task(robot: str, **arm: Any) -> tuple[RobotTask, Arm]:
     return environment, environment.robot
 
 
-def test_arms_of_six_and_seven_joints_are_told_in_one_layout() -> None:
+def test_arms_of_six_and_seven_joints_are_told_in_one_layout():
     (panda, seven), (ur5, six) = arm_task("panda"), arm_task("ur5")
     assert (seven.chain.size, six.chain.size) == (7, 6)
     trained, here = Facts.of(panda), Facts.of(ur5)
@@ -35,7 +35,7 @@ def test_arms_of_six_and_seven_joints_are_told_in_one_layout() -> None:
     assert step.observation[layout.slice("joint_effects")].reshape(8, 6)[:6].any(1).all()
 
 
-def test_effects_of_an_action_say_where_the_tool_goes() -> None:
+def test_effects_of_an_action_say_where_the_tool_goes():
     environment, arm = arm_task("panda", acceleration=None)
     layout = environment.signature.observation
     step = environment.reset(0)
@@ -58,7 +58,7 @@ def test_effects_of_an_action_say_where_the_tool_goes() -> None:
     np.testing.assert_allclose(rooms[near], np.column_stack((at - low, high - at))[near], atol=1e-5)
 
 
-def test_actions_of_missing_joints_do_nothing_and_the_expert_gives_none() -> None:
+def test_actions_of_missing_joints_do_nothing_and_the_expert_gives_none():
     (first, _), (second, _) = arm_task("ur5"), arm_task("ur5")
     first.reset(0), second.reset(0)
     action = first.expert().act()
@@ -69,14 +69,14 @@ def test_actions_of_missing_joints_do_nothing_and_the_expert_gives_none() -> Non
     np.testing.assert_array_equal(first.step(action).observation, second.step(other).observation)
 
 
-def test_places_that_do_not_fit_the_arm_or_its_control_are_refused() -> None:
+def test_places_that_do_not_fit_the_arm_or_its_control_are_refused():
     with pytest.raises(UsageError, match="this arm has 7 joints"):
         arm_task("panda", joint_slots=6)
     with pytest.raises(UsageError, match="control is pose, whose actions do not move joints"):
         arm_task("panda", control="pose")
 
 
-def test_a_mirror_changes_what_joints_do_to_the_tool_and_no_action() -> None:
+def test_a_mirror_changes_what_joints_do_to_the_tool_and_no_action():
     signature = arm_task("panda")[0].signature
     signs = Augmentation(Augmentation.Settings(), signature)._signs
     layout = transition_layout(signature)

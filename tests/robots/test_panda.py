@@ -8,7 +8,7 @@ from karolos.errors import PluginError
 
 
 @pytest.mark.parametrize("control", ["joint", "cartesian"])
-def test_gripper_opens_and_closes_and_its_fingers_agree(control: str) -> None:
+def test_gripper_opens_and_closes_and_its_fingers_agree(control):
     environment = made("pick_place", arm={"control": control}, max_steps=1000)
     environment.reset(0)
     where = environment.signature.observation.slice("gripper_opening")
@@ -22,7 +22,7 @@ def test_gripper_opens_and_closes_and_its_fingers_agree(control: str) -> None:
         assert abs(first[0] - second[0]) < 1e-3
 
 
-def test_yaw_turns_the_gripper_and_is_seen() -> None:
+def test_yaw_turns_the_gripper_and_is_seen():
     environment = made("reach", arm={"yaw": True})
     start = environment.reset(0)
     heading = environment.signature.observation.slice("tool_heading")
@@ -33,14 +33,14 @@ def test_yaw_turns_the_gripper_and_is_seen() -> None:
     assert np.linalg.norm(step.achieved_goal - start.achieved_goal) < 0.01
 
 
-def test_tool_that_cannot_be_placed_is_a_clear_error() -> None:
+def test_tool_that_cannot_be_placed_is_a_clear_error():
     environment = made("reach")
     environment.reset(0)
     with pytest.raises(PluginError, match="workspace"):
         environment.robot.place_tool((1.5, 0.0, 0.2), 0.0)
 
 
-def test_delayed_action_takes_effect_later() -> None:
+def test_delayed_action_takes_effect_later():
     environment = made("reach")
     started = environment.reset(0).observation[:3]
     environment.robot.apply("action_delay", 2.0)
@@ -51,7 +51,7 @@ def test_delayed_action_takes_effect_later() -> None:
     assert moved[4] > 0.01
 
 
-def test_noise_is_on_the_observation_and_not_on_the_goal() -> None:
+def test_noise_is_on_the_observation_and_not_on_the_goal():
     environment = made("reach")
     environment.reset(0)
     environment.robot.apply("observation_noise", 0.05)

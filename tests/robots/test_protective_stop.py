@@ -35,7 +35,7 @@ def low(engine: str, draws: dict[str, Part] | None = None, **stop: Any) -> Robot
     return environment
 
 
-def test_a_force_beyond_the_limit_stops_at_once_and_counts_once_while_it_lasts() -> None:
+def test_a_force_beyond_the_limit_stops_at_once_and_counts_once_while_it_lasts():
     watching = guard(force=100.0)
     for force in (0.0, 99.0, 101.0, 300.0, 0.0, 120.0):
         watching.watch({(3, 0): force}, (0.0, 0.0))
@@ -44,7 +44,7 @@ def test_a_force_beyond_the_limit_stops_at_once_and_counts_once_while_it_lasts()
     assert (watching.stops, watching.stopped) == (0, False)
 
 
-def test_a_torque_at_its_limit_stops_only_if_it_lasts() -> None:
+def test_a_torque_at_its_limit_stops_only_if_it_lasts():
     watching = guard(torque=0.9, seconds=0.3)
     for torque in (9.5, 9.5, 8.0, -9.5, -9.5):
         watching.watch({}, (torque, 0.0))
@@ -54,14 +54,14 @@ def test_a_torque_at_its_limit_stops_only_if_it_lasts() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_motor_that_friction_leaves_less_torque_stops_at_that(engine: str) -> None:
+def test_a_motor_that_friction_leaves_less_torque_stops_at_that(engine):
     environment = low(engine, {"robot.joint_friction": values(0.3)}, force=None, seconds=0.1)
     assert pressed_on_the_floor(environment).truncated
     assert environment.robot.stops == 1
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engine: str) -> None:
+def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engine):
     environment = low(engine, force=150.0)
     step = pressed_on_the_floor(environment)
     assert step.truncated
@@ -75,13 +75,13 @@ def test_a_hand_that_presses_on_the_floor_ends_the_episode_without_success(engin
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_stop_may_only_be_counted(engine: str) -> None:
+def test_a_stop_may_only_be_counted(engine):
     environment = low(engine, ends=False)
     assert not pressed_on_the_floor(environment).truncated
     assert environment.robot.stops >= 1
 
 
-def test_a_stop_that_is_off_notices_nothing_and_tasks_choose_the_default() -> None:
+def test_a_stop_that_is_off_notices_nothing_and_tasks_choose_the_default():
     environment = low(ENGINES[0])
     assert not pressed_on_the_floor(environment).truncated
     assert environment.robot.stops == 0

@@ -9,7 +9,7 @@ from karolos.simulation.interface import JointLimits
 
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.25, 0.1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_a_joint_that_brakes_slowly_stops_inside_its_range(share: float, sign: float) -> None:
+def test_a_joint_that_brakes_slowly_stops_inside_its_range(share, sign):
     speed, period = 2.0, 1 / 24
     ramps = Ramps(JointLimits((-1.5,), (1.5,), (speed,), (50.0,), ("joint",)), period, (24 * speed * share,))
     for room in np.linspace(0.05, 2.0, 40):  # it begins to brake at other speeds, elsewhere in a control step

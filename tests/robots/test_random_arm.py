@@ -22,7 +22,7 @@ def caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     _model.cache_clear()
 
 
-def test_a_number_is_an_arm_and_its_files_are_made_once(caches: Path) -> None:
+def test_a_number_is_an_arm_and_its_files_are_made_once(caches):
     first = _model(3, "robotiq_2f85")
     text = first.urdf.read_text()
     _model.cache_clear()
@@ -33,7 +33,7 @@ def test_a_number_is_an_arm_and_its_files_are_made_once(caches: Path) -> None:
     assert again.urdf.is_relative_to(caches)
 
 
-def test_arms_are_of_all_families_and_no_two_are_alike(tmp_path: Path) -> None:
+def test_arms_are_of_all_families_and_no_two_are_alike(tmp_path):
     for number in range(12):
         _write(tmp_path / f"{number}.urdf", next(_draws(number)))
     texts = [path.read_text() for path in tmp_path.iterdir()]
@@ -42,7 +42,7 @@ def test_arms_are_of_all_families_and_no_two_are_alike(tmp_path: Path) -> None:
     assert len(set(texts)) == 12
 
 
-def test_an_expert_reaches_with_any_of_the_arms_that_training_draws() -> None:
+def test_an_expert_reaches_with_any_of_the_arms_that_training_draws():
     spec = load_spec("random_arm_reach", ["robot.arm=3", "randomization.robot.arm={name: choice, values: [3, 6]}"])
     with opened(spec.recipe(randomize=True)) as environment:
         drawn = set()

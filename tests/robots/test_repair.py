@@ -1,7 +1,5 @@
 """A URDF with several mistakes: all are found at once, and the copy in which they are repaired is an arm."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -38,7 +36,7 @@ def mass_of(path: Path) -> float:
     return sum(urdf.inertia_of(link)[0] for link in urdf.read(path).findall("link"))
 
 
-def test_all_mistakes_are_found_at_once_and_repaired(arm: Path, tmp_path: Path) -> None:
+def test_all_mistakes_are_found_at_once_and_repaired(arm, tmp_path):
     repair = Repair(broken(arm, MISTAKES), mass=12.0)
     found = [f"{finding.where.rpartition(': ')[2]}: {finding.what}" for finding in repair.findings]
     assert found[1:] == [
@@ -58,7 +56,7 @@ def test_all_mistakes_are_found_at_once_and_repaired(arm: Path, tmp_path: Path) 
     propose(copy)
 
 
-def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm: Path, tmp_path: Path) -> None:
+def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm, tmp_path):
     assert not Repair(arm).findings
     repair = Repair(arm, mass=20.0)
     [finding] = repair.findings
@@ -75,7 +73,7 @@ def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm: Path, tmp_p
         ("small_description/meshes/mark.obj", "none.obj", "there is no mesh"),
     ],
 )
-def test_what_nobody_can_know_is_found_without_a_change(arm: Path, old: str, new: str, what: str) -> None:
+def test_what_nobody_can_know_is_found_without_a_change(arm, old, new, what):
     text = arm.read_text().replace("visual", "collision", 4)
     arm.write_text(text.replace(old, new))
     findings = Repair(arm).findings
@@ -83,7 +81,7 @@ def test_what_nobody_can_know_is_found_without_a_change(arm: Path, old: str, new
     assert not findings[-1].change
 
 
-def test_macros_are_expanded_where_a_person_asks_for_it(arm: Path) -> None:
+def test_macros_are_expanded_where_a_person_asks_for_it(arm):
     pytest.importorskip("xacro")
     text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
     first = "<robot" + text.split("<robot", 1)[1].split(">", 1)[0] + ">"
@@ -98,7 +96,7 @@ def test_macros_are_expanded_where_a_person_asks_for_it(arm: Path) -> None:
     assert {limit.get("velocity") for limit in found.robot.iter("limit")} >= {"2.5"}
 
 
-def test_a_file_that_only_declares_the_prefix_of_macros_needs_none(arm: Path) -> None:
+def test_a_file_that_only_declares_the_prefix_of_macros_needs_none(arm):
     text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
     arm.write_text(text)
     assert not Repair(arm, expand=True).findings

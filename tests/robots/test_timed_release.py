@@ -28,7 +28,7 @@ def swing(environment: RobotTask, commands: Sequence[float]) -> Array:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine: str) -> None:
+def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine):
     environment = throwing(engine)
     environment.reset(0)
     held = 2 * environment.robot.opening - 1
@@ -43,21 +43,21 @@ def test_the_gripper_opens_later_in_the_step_the_less_it_is_told_to_open(engine:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_episode_forgets_the_release_of_the_one_before(engine: str) -> None:
+def test_an_episode_forgets_the_release_of_the_one_before(engine):
     environment = throwing(engine)
     first = swing(environment, [0.3])
     assert np.array_equal(swing(environment, [0.3]), first)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine: str) -> None:
+def test_without_it_the_gripper_opens_at_the_beginning_of_the_step(engine):
     environment = throwing(engine, timed=False)
     assert swing(environment, [0.3]) == pytest.approx(swing(environment, [1.0]), abs=1e-3)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("later", [0.3, 1.3])
-def test_a_delayed_gripper_opens_that_much_later_across_control_steps(engine: str, later: float) -> None:
+def test_a_delayed_gripper_opens_that_much_later_across_control_steps(engine, later):
     prompt, delayed = throwing(engine, timed=False), throwing(engine, timed=False, delay=later / 24)
     early, late = swing(prompt, [1.0]), swing(prompt, [-1.0, 1.0])
     along = float((swing(delayed, [1.0]) - early) @ (late - early) / ((late - early) @ (late - early)))

@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,7 +46,7 @@ def divided(engine: Engine, request: pytest.FixtureRequest) -> World:
     return rig.world(engine, substeps=request.param)
 
 
-def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
+def test_what_presses_on_a_body_is_known_by_link_and_body(world):
     lower, upper = (world.body([Cuboid((0.1, 0.1, 0.1))], mass, (1, 0, 0, 1)) for mass in (2.0, 1.0))
     lower.place((0.0, 0.0, 0.05))
     upper.place((0.0, 0.0, 0.15))
@@ -61,7 +60,7 @@ def test_what_presses_on_a_body_is_known_by_link_and_body(world: World) -> None:
     assert world.forces(upper) == {}
 
 
-def test_a_falling_body_falls_as_it_must(divided: World) -> None:
+def test_a_falling_body_falls_as_it_must(divided):
     box = divided.body([Cuboid((0.1, 0.1, 0.1))], 1.0, (1, 0, 0, 1))
     box.place((0.0, 0.0, 5.0))
     for _ in range(120 // divided.substeps):
@@ -78,9 +77,7 @@ def pendulum(world: World, effort: float, speed: float = 2.0) -> tuple[Body, Mot
 
 
 @pytest.mark.parametrize(("share", "friction", "holds"), [(1.1, 0.0, True), (0.9, 0.0, False), (1.1, 0.2, False)])
-def test_a_motor_holds_what_its_torque_allows_whatever_the_substeps(
-    divided: World, share: float, friction: float, holds: bool
-) -> None:
+def test_a_motor_holds_what_its_torque_allows_whatever_the_substeps(divided, share, friction, holds):
     body, motors = pendulum(divided, share * WEIGHT)
     motors.set_joint_friction(friction)
     for _ in range(48 * 10 // divided.substeps):
@@ -91,7 +88,7 @@ def test_a_motor_holds_what_its_torque_allows_whatever_the_substeps(
         assert abs(torque) == pytest.approx(WEIGHT, rel=0.01)
 
 
-def test_a_motor_follows_a_ramp_of_speeds(divided: World) -> None:
+def test_a_motor_follows_a_ramp_of_speeds(divided):
     body, motors = pendulum(divided, 50 * WEIGHT)
     begin, end = 0.0, 1.5
     motors.drive([begin], [end], {})
@@ -101,7 +98,7 @@ def test_a_motor_follows_a_ramp_of_speeds(divided: World) -> None:
     assert speed == pytest.approx(end, rel=1e-3)
 
 
-def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: Engine) -> None:
+def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine):
     inertia = 0.1 + 2 * 0.5**2  # kg m2 about the hinge
     ends = []
     for substeps in (1, 10):
@@ -120,7 +117,7 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine: En
     assert ends[0] == pytest.approx(np.exp(-0.5 / inertia), rel=0.01)
 
 
-def test_a_box_rests_on_the_floor_by_its_weight_until_it_is_taken_away(world: Any) -> None:
+def test_a_box_rests_on_the_floor_by_its_weight_until_it_is_taken_away(world):
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.place((0.4, 0.0, 0.02))
     for _ in range(24):
@@ -135,7 +132,7 @@ def test_a_box_rests_on_the_floor_by_its_weight_until_it_is_taken_away(world: An
 
 
 @pytest.mark.parametrize(("floor", "slides"), [(0.2, True), (0.8, False)])
-def test_friction_is_the_product_of_both_coefficients(world: World, floor: float, slides: bool) -> None:
+def test_friction_is_the_product_of_both_coefficients(world, floor, slides):
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.set_friction(0.5)
     world.set_floor_friction(floor)
@@ -150,7 +147,7 @@ def test_friction_is_the_product_of_both_coefficients(world: World, floor: float
     assert (np.linalg.norm(np.array(box.pose()[0]) - 0.02 * normal) > 0.05) == slides
 
 
-def test_a_spinning_box_has_its_angular_velocity_in_the_world(world: World) -> None:
+def test_a_spinning_box_has_its_angular_velocity_in_the_world(world):
     """A box that leans on its edge falls about the world's y axis, although it is turned about z."""
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     world.set_floor_friction(5.0)
@@ -169,7 +166,7 @@ def test_a_spinning_box_has_its_angular_velocity_in_the_world(world: World) -> N
     assert abs(upright) < 0.1 * abs(across)
 
 
-def test_a_link_has_the_frame_and_the_speed_of_its_joint(world: World) -> None:
+def test_a_link_has_the_frame_and_the_speed_of_its_joint(world):
     body, motors = pendulum(world, 50 * WEIGHT)
     motors.drive([1.0], [1.0], {})
     world.step()
@@ -182,7 +179,7 @@ def test_a_link_has_the_frame_and_the_speed_of_its_joint(world: World) -> None:
     assert state.orientation == pytest.approx((0, np.sin(angle / 2), 0, np.cos(angle / 2)), abs=1e-5)
 
 
-def test_a_body_that_is_added_later_leaves_the_others_as_they_are(world: World) -> None:
+def test_a_body_that_is_added_later_leaves_the_others_as_they_are(world):
     first = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     first.place((0.4, 0.0, 1.0))
     first.set_inertia(0.3, (0.1, 0.2, 0.3))
@@ -195,7 +192,7 @@ def test_a_body_that_is_added_later_leaves_the_others_as_they_are(world: World) 
     assert second.pose()[0][2] < 1.0
 
 
-def test_a_body_of_several_shapes_has_their_centre_of_mass_and_its_own_frame(world: World) -> None:
+def test_a_body_of_several_shapes_has_their_centre_of_mass_and_its_own_frame(world):
     """An L: its frame is at one end of it."""
     arms = [Cuboid((0.1, 0.02, 0.02), position=(0.05, 0, 0)), Cuboid((0.02, 0.02, 0.1), position=(0.1, 0, 0.06))]
     body = world.body(arms, 0.3, (1, 0, 0, 1))
@@ -215,7 +212,7 @@ def test_a_body_of_several_shapes_has_their_centre_of_mass_and_its_own_frame(wor
     assert np.linalg.norm(np.subtract(body.pose()[1], turn)) > 0.1
 
 
-def test_inertia_is_that_of_the_whole_however_it_is_cut_and_turned() -> None:
+def test_inertia_is_that_of_the_whole_however_it_is_cut_and_turned():
     whole = inertia_of([Cuboid((0.2, 0.1, 0.05), position=(0.1, 0.0, 0.0))], 2.0)
     half = 0.5**0.5
     cut = [
@@ -232,7 +229,7 @@ def test_inertia_is_that_of_the_whole_however_it_is_cut_and_turned() -> None:
         Cuboid((0.1, -0.1, 0.1))
 
 
-def test_a_state_that_diverged_shows_and_leaves_nothing_behind(world: World) -> None:
+def test_a_state_that_diverged_shows_and_leaves_nothing_behind(world):
     ends = []
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     for height in (0.3, float("nan"), 0.3):
@@ -245,7 +242,7 @@ def test_a_state_that_diverged_shows_and_leaves_nothing_behind(world: World) -> 
         assert ends[0] == ends[2]
 
 
-def test_picture_shows_markers_and_leaves_them_where_they_are(world: World) -> None:
+def test_picture_shows_markers_and_leaves_them_where_they_are(world):
     camera = Camera()
     empty = world.render(64, 48, camera)
     marker = world.marker(0.1, (0.0, 1.0, 0.0, 1.0))
@@ -261,7 +258,7 @@ def test_picture_shows_markers_and_leaves_them_where_they_are(world: World) -> N
         assert 5 < (world.render(64, 48, camera, [stroke]) != seen).any(-1).sum() < seen.size / 20
 
 
-def test_pictures_between_control_steps_show_what_moved_and_change_nothing(engine: Engine) -> None:
+def test_pictures_between_control_steps_show_what_moved_and_change_nothing(engine):
     filmed, other = (made("pick_place", environment={"engine": engine}) for _ in range(2))
     for environment in (filmed, other):
         environment.reset(0)
@@ -275,7 +272,7 @@ def test_pictures_between_control_steps_show_what_moved_and_change_nothing(engin
     np.testing.assert_array_equal(one, two)
 
 
-def test_shadow_tells_how_high_a_body_is(world: World) -> None:
+def test_shadow_tells_how_high_a_body_is(world):
     camera = Camera()
     empty = world.render(160, 120, camera)
     box = world.body([Cuboid((0.06, 0.06, 0.06))], 0.1, (1.0, 0.0, 0.0, 1.0))
@@ -291,7 +288,7 @@ def test_shadow_tells_how_high_a_body_is(world: World) -> None:
     assert abs(high_shadow - low_shadow) < 4, "it stays on the floor below"
 
 
-def test_a_body_hides_the_marker_behind_it(world: World) -> None:
+def test_a_body_hides_the_marker_behind_it(world):
     camera = Camera(target=(0.3, 0.0, 0.3), distance=1.0, yaw=90.0, pitch=0.0)
     world.body([Cuboid((0.2, 0.2, 0.2))], 0.0, (1.0, 0.0, 0.0, 1.0)).place((0.3, 0.0, 0.3))
     marker = world.marker(0.05, (0.0, 1.0, 0.0, 1.0))
@@ -305,7 +302,7 @@ def test_a_body_hides_the_marker_behind_it(world: World) -> None:
     assert hidden_red > hidden_green
 
 
-def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine: Engine) -> None:
+def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine):
     environment = made("pick_place", environment={"engine": engine}, arm={"control": "joint"}, start_grasped=1.0)
     environment.reset(0)
     robot, cube = environment.robot, environment.task.cube  # type: ignore[attr-defined]
@@ -326,7 +323,7 @@ def test_a_held_cube_stays_in_the_hand_while_the_arm_swings(engine: Engine) -> N
     assert np.linalg.norm(place() - before) < 1e-3
 
 
-def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:
+def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world):
     robot = urdf.read(Panda.model.urdf)
     for joint in robot.findall("joint"):
         child = joint.find("child")
@@ -336,16 +333,17 @@ def test_a_urdf_that_the_engine_refuses_is_a_clear_error(world: World) -> None:
         world.load(Mechanism(robot))
 
 
-def test_a_window_without_a_display_is_a_clear_error(engine: Engine, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_window_without_a_display_is_a_clear_error(engine, monkeypatch):
     monkeypatch.setattr(sys, "platform", "linux")
     monkeypatch.delenv("DISPLAY", raising=False)
     with pytest.raises(KarolosError, match=r"no (display|window)"):
         make_world(engine, window=True)
 
 
-def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_nobody(engine: Engine) -> None:
+def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_nobody(engine):
     code = (
         "import sys\n"
+        "import karolos.environments.build\n"
         "from karolos.environments.robot_task import RobotTask\n"
         "from karolos.robots.panda import Panda\n"
         "from karolos.tasks.reach import Reach\n"
@@ -361,9 +359,7 @@ def test_a_robot_is_described_without_an_engine_or_torch_and_the_engine_greets_n
     assert done.stdout == done.stderr == ""
 
 
-def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(tmp_path, monkeypatch):
     pytest.importorskip("torch")
     monkeypatch.setitem(engines.ENGINES, "bullet", engines.BULLET._replace(module="a_module_that_nobody_has"))
     path = tmp_path / "one.yaml"
@@ -375,7 +371,7 @@ def test_a_spec_with_an_engine_that_is_not_installed_is_refused_with_its_place(
     assert "pip install pybullet" in result.output
 
 
-def test_the_engine_is_mujoco_by_default_and_part_of_an_experiments_identity() -> None:
+def test_the_engine_is_mujoco_by_default_and_part_of_an_experiments_identity():
     pytest.importorskip("torch")
     parts = {"name": "x", "robot": "panda", "task": "reach", "agent": "sac"}
     one, same, other = (
@@ -391,7 +387,7 @@ def test_the_engine_is_mujoco_by_default_and_part_of_an_experiments_identity() -
 
 
 @pytest.mark.parametrize("rate", [480, 960])
-def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> None:
+def test_finer_physics_steps_give_the_same_motion(engine, rate):
     ends = []
     for one in (240, rate):
         world = rig.world(engine, substeps=10 * one // 240, rate=one)
@@ -403,7 +399,7 @@ def test_finer_physics_steps_give_the_same_motion(engine: Engine, rate: int) -> 
     assert ends[0] == pytest.approx(ends[1], abs=5e-3)
 
 
-def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slowly() -> None:
+def test_a_lively_box_comes_back_with_its_restitution_and_a_damped_one_sinks_slowly():
     world = rig.world("mujoco", substeps=1)
     box = world.body([Cuboid((0.04, 0.04, 0.04))], 0.1, (1, 0, 0, 1))
     box.set_material(Material(restitution=0.5))

@@ -11,7 +11,7 @@ poses = st.tuples(*(st.floats(low, high) for low, high in zip(ARM.limits.lower, 
 
 
 @given(poses, st.integers(0, 6))
-def test_jacobian_is_the_derivative_of_the_tool_position(pose: tuple[float, ...], joint: int) -> None:
+def test_jacobian_is_the_derivative_of_the_tool_position(pose, joint):
     step = 1e-6
     ahead, behind = list(pose), list(pose)
     ahead[joint] += step
@@ -21,13 +21,13 @@ def test_jacobian_is_the_derivative_of_the_tool_position(pose: tuple[float, ...]
 
 
 @given(poses, poses)
-def test_tool_velocity_is_the_jacobian_times_the_rates(pose: tuple[float, ...], rates: tuple[float, ...]) -> None:
+def test_tool_velocity_is_the_jacobian_times_the_rates(pose, rates):
     at = CHAIN.forward(pose)
     np.testing.assert_allclose(CHAIN.velocity(at, rates), CHAIN.jacobian(at)[:3] @ np.array(rates), atol=1e-12)
 
 
 @given(poses)
-def test_tool_frame_is_a_rotation(pose: tuple[float, ...]) -> None:
+def test_tool_frame_is_a_rotation(pose):
     tool = CHAIN.forward(pose).tool
     frame = np.array([tool.x, tool.y, tool.z])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-12)
@@ -35,9 +35,7 @@ def test_tool_frame_is_a_rotation(pose: tuple[float, ...]) -> None:
 
 
 @given(st.tuples(st.floats(0.4, 0.65), st.floats(-0.2, 0.2), st.floats(0.05, 0.35)), st.floats(-0.8, 0.8))
-def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(
-    target: tuple[float, float, float], yaw: float
-) -> None:
+def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(target, yaw):
     joints = list(ARM.model.home)
     for _ in range(30):
         change = CHAIN.step(CHAIN.forward(joints), downward(target, yaw), [0.0] * 7)
@@ -48,7 +46,7 @@ def test_repeated_steps_bring_the_tool_there_pointing_down_with_the_yaw(
     np.testing.assert_allclose(tool.x, (np.cos(yaw), np.sin(yaw), 0), atol=1e-3)
 
 
-def test_posture_does_not_move_the_tool() -> None:
+def test_posture_does_not_move_the_tool():
     at = CHAIN.forward(ARM.model.home)
     change = CHAIN.step(at, downward(at.tool.position, 0.0), [0.02, 0.0, -0.02, 0.0, 0.0, 0.0, 0.0])
     moved = CHAIN.forward([value + turn for value, turn in zip(ARM.model.home, change, strict=True)])

@@ -16,7 +16,6 @@ from support.rig import world as empty
 
 from karolos.errors import MachineError, PluginError, UsageError
 from karolos.simulation import fixtures, meshes, urdf
-from karolos.simulation.engines import Engine
 from karolos.simulation.geometry import matrix_of
 from karolos.simulation.parts import Link, Mechanism, mechanism
 from karolos.simulation.shapes import Cuboid, Inertia, Mesh, inertia_of, volume_of
@@ -29,7 +28,7 @@ def corner(tmp_path: Path) -> Path:
     return prism(tmp_path / "corner.stl", L, 20.0)
 
 
-def test_mass_and_inertia_of_a_mesh_are_those_of_what_it_encloses(corner: Path) -> None:
+def test_mass_and_inertia_of_a_mesh_are_those_of_what_it_encloses(corner):
     legs = [
         Cuboid((0.06, 0.02, 0.02), position=(0.03, 0.01, 0.01)),
         Cuboid((0.02, 0.04, 0.02), position=(0.01, 0.04, 0.01)),
@@ -44,12 +43,12 @@ def test_mass_and_inertia_of_a_mesh_are_those_of_what_it_encloses(corner: Path) 
 @pytest.mark.parametrize(
     ("scale", "said"), [(1.0, "a part of 60 m; in millimetres"), (1e-6, "a part of 6e-05 m; is it")]
 )
-def test_a_part_in_the_wrong_unit_is_refused(corner: Path, scale: float, said: str) -> None:
+def test_a_part_in_the_wrong_unit_is_refused(corner, scale, said):
     with pytest.raises(PluginError, match=said):
         Mesh(corner, scale)
 
 
-def test_what_a_convex_hull_fills_is_said(tmp_path: Path, corner: Path) -> None:
+def test_what_a_convex_hull_fills_is_said(tmp_path, corner):
     block = block_with_hole(tmp_path / "block.stl", 80.0, 21.0, 25.0)
     for path, filled in ((corner, r"fills a hollow: 29%"), (block, "fills a hole")):
         with pytest.warns(UserWarning, match=filled):
@@ -93,8 +92,8 @@ BODIES = {
 
 @pytest.mark.parametrize(("parts", "volume", "centre", "flaw"), BODIES.values(), ids=BODIES)
 def test_bodies_of_a_file_weigh_what_they_enclose_or_say_that_they_weigh_as_their_hull(
-    parts: list[NDArray[np.float32]], volume: float, centre: float, flaw: str, tmp_path: Path
-) -> None:
+    parts, volume, centre, flaw, tmp_path
+):
     (path := tmp_path / "part.stl").write_bytes(meshes.stl(np.concatenate(parts)))
     found = meshes.solid(path)
     assert found.volume == pytest.approx(volume, rel=1e-5)
@@ -126,7 +125,7 @@ DIALECTS: dict[str, tuple[str, bytes]] = {
 
 
 @pytest.mark.parametrize(("kind", "data"), DIALECTS.values(), ids=DIALECTS)
-def test_a_mesh_is_read_in_every_dialect(kind: str, data: bytes, tmp_path: Path) -> None:
+def test_a_mesh_is_read_in_every_dialect(kind, data, tmp_path):
     (path := tmp_path / f"part.{kind}").write_bytes(data)
     assert np.array_equal(meshes.triangles(path), ONE)
 
@@ -146,14 +145,14 @@ REFUSED: dict[str, tuple[str, bytes]] = {
 
 
 @pytest.mark.parametrize(("said", "file"), REFUSED.items(), ids=REFUSED)
-def test_a_damaged_mesh_is_refused_for_a_true_reason(said: str, file: tuple[str, bytes], tmp_path: Path) -> None:
+def test_a_damaged_mesh_is_refused_for_a_true_reason(said, file, tmp_path):
     (path := tmp_path / f"part.{file[0]}").write_bytes(file[1])
     with pytest.raises(PluginError, match=re.escape(said)):
         meshes.triangles(path)
 
 
 @pytest.mark.parametrize(("up", "centre"), [("Z_UP", (1, 2, 3)), ("Y_UP", (1, -3, 2)), ("X_UP", (-2, -3, 1))])
-def test_collada_is_read_in_its_unit_with_its_upper_axis(up: str, centre: tuple[float, ...], tmp_path: Path) -> None:
+def test_collada_is_read_in_its_unit_with_its_upper_axis(up, centre, tmp_path):
     made = trimesh.creation.box((20, 40, 60)).apply_translation((10, 20, 30))
     text = trimesh.exchange.dae.export_collada(made).decode().replace("Y_UP", up)
     (path := tmp_path / "part.dae").write_text(text.replace("</asset>", '<unit name="mm" meter="0.001"/></asset>'))
@@ -161,7 +160,7 @@ def test_collada_is_read_in_its_unit_with_its_upper_axis(up: str, centre: tuple[
     assert meshes.solid(path).centre == pytest.approx(np.array(centre) / 100)
 
 
-def test_a_file_that_is_edited_is_read_again(tmp_path: Path) -> None:
+def test_a_file_that_is_edited_is_read_again(tmp_path):
     part, drawer = tmp_path / "part.stl", tmp_path / "drawer.urdf"
     for size in (1, 2):
         part.write_bytes(meshes.stl(size * ONE))
@@ -171,7 +170,7 @@ def test_a_file_that_is_edited_is_read_again(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_mesh_falls_and_rests_as_its_hull(engine: Engine, corner: Path) -> None:
+def test_a_mesh_falls_and_rests_as_its_hull(engine, corner):
     """The L lies on its two tips: the side that only its hull has."""
     world = empty(engine)
     body = world.body([Mesh(corner, 0.001, collision="convex")], 0.2, RED)
@@ -186,9 +185,7 @@ def test_a_mesh_falls_and_rests_as_its_hull(engine: Engine, corner: Path) -> Non
     assert sum(world.forces(body).values()) == pytest.approx(0.2 * 9.81, rel=0.1)
 
 
-def test_a_decomposed_mesh_keeps_its_hole(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_decomposed_mesh_keeps_its_hole(tmp_path, monkeypatch, capsys):
     pytest.importorskip("coacd")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     path = block_with_hole(tmp_path / "block.stl", 80.0, 30.0, 25.0)
@@ -242,9 +239,7 @@ def drawer(kind: str, folder: Path) -> Path | Mechanism:
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("kind", ["urdf", "xml", "code"])
-def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(
-    engine: Engine, kind: str, tmp_path: Path
-) -> None:
+def test_a_drawer_slides_by_its_friction_its_damping_and_what_drives_it(engine, kind, tmp_path):
     world = empty(engine)
     body = world.load(drawer(kind, tmp_path))
     body.place(
@@ -286,7 +281,7 @@ CLASSES = """
 """
 
 
-def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path: Path) -> None:
+def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     (path := tmp_path / "door.xml").write_text(CLASSES)
     model, found = mujoco.MjModel.from_xml_string(CLASSES), fixtures.read(path).robot
@@ -322,14 +317,14 @@ def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path: Path
         (MJCF.replace("<joint", "<freejoint/><joint"), "<freejoint> in <body> is not known"),
     ],
 )
-def test_what_of_a_file_is_not_known_is_refused_with_its_line(text: str, said: str, tmp_path: Path) -> None:
+def test_what_of_a_file_is_not_known_is_refused_with_its_line(text, said, tmp_path):
     path = tmp_path / "drawer.xml"
     path.write_text(text)
     with pytest.raises(PluginError, match=re.escape(said)):
         fixtures.read(path)
 
 
-def test_a_link_that_cannot_move_is_refused() -> None:
+def test_a_link_that_cannot_move_is_refused():
     with pytest.raises(UsageError, match="link lid cannot move; a parent before it"):
         mechanism(
             [Link(name="box", shapes=[]), Link(name="lid", shapes=[HANDLE], parent="bx", mass=1.0, range=(0.0, 1.0))]
@@ -337,7 +332,7 @@ def test_a_link_that_cannot_move_is_refused() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_moments_that_are_set_are_about_the_axes_of_the_link(engine: Engine) -> None:
+def test_moments_that_are_set_are_about_the_axes_of_the_link(engine):
     """A wheel of (1, 2, 3) kg cm2, or twice that, which 3 N cm turn about one axis after the other."""
     world = empty(engine, substeps=1)
     own = Inertia((0.0, 0.0, 0.0), (1e-4, 2e-4, 3e-4))

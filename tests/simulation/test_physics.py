@@ -33,7 +33,7 @@ WORSE = {
 
 @pytest.mark.parametrize("engine", ENGINES)
 @pytest.mark.parametrize("trial", LIMITS)
-def test_bodies_move_as_they_must(engine: str, trial: str) -> None:
+def test_bodies_move_as_they_must(engine, trial):
     for quantity, found in measure(engine, trial).items():
         low, high = LIMITS[trial][quantity]
         if engine == "bullet":

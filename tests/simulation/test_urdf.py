@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import given
@@ -24,13 +22,13 @@ angles = st.floats(-3.1, 3.1)
 
 
 @given(angles, st.floats(-1.5, 1.5), angles)
-def test_roll_pitch_yaw_is_the_inverse_of_the_rotation_matrix(roll: float, pitch: float, yaw: float) -> None:
+def test_roll_pitch_yaw_is_the_inverse_of_the_rotation_matrix(roll, pitch, yaw):
     rotation = urdf.rotation_matrix(roll, pitch, yaw)
     np.testing.assert_allclose(urdf.rotation_matrix(*urdf.roll_pitch_yaw(rotation)), rotation, atol=1e-9)
 
 
 @pytest.mark.parametrize("pitch", [-np.pi / 2, np.pi / 2])
-def test_roll_pitch_yaw_holds_at_the_poles(pitch: float) -> None:
+def test_roll_pitch_yaw_holds_at_the_poles(pitch):
     rotation = urdf.rotation_matrix(0.4, pitch, 0.9)
     np.testing.assert_allclose(urdf.rotation_matrix(*urdf.roll_pitch_yaw(rotation)), rotation, atol=1e-7)
 
@@ -39,7 +37,7 @@ WHOLE = Panda(Panda.Settings()).model.description.robot
 FINGERS = {"franka_hand/finger_joint1": 0.0, "franka_hand/finger_joint2": 0.0}
 
 
-def test_welding_removes_links_and_keeps_mass_and_shapes() -> None:
+def test_welding_removes_links_and_keeps_mass_and_shapes():
     whole = WHOLE
     welded = urdf.weld(whole, FINGERS)
 
@@ -53,7 +51,7 @@ def test_welding_removes_links_and_keeps_mass_and_shapes() -> None:
     assert len(whole.findall("joint")) == 9, "the original must not change"
 
 
-def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
+def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one():
     """Gravity torques of both, computed by PyBullet, at a pose that bends every joint."""
     pytest.importorskip("pybullet")
     world = BulletWorld()
@@ -69,7 +67,7 @@ def test_welded_robot_weighs_as_much_on_its_joints_as_the_whole_one() -> None:
     world.close()
 
 
-def test_missing_urdf_is_a_clear_error(tmp_path: Path) -> None:
+def test_missing_urdf_is_a_clear_error(tmp_path):
     with pytest.raises(PluginError, match=r"/robot\.urdf: cannot be read \(No such file or directory\)"):
         urdf.load(tmp_path / "robot.urdf")
 
@@ -112,9 +110,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
         (robot(A, B.replace("</link>", MESH), J), "link b: there is no mesh 'package://x/arm.stl'; it is looked for"),
     ],
 )
-def test_a_urdf_that_cannot_be_simulated_is_refused_in_one_line_that_names_the_joint_or_link(
-    tmp_path: Path, text: str, message: str
-) -> None:
+def test_a_urdf_that_cannot_be_simulated_is_refused_in_one_line_that_names_the_joint_or_link(tmp_path, text, message):
     path = tmp_path / "robot.urdf"
     path.write_text(text)
     with pytest.raises(PluginError, match=message) as caught:
@@ -122,7 +118,7 @@ def test_a_urdf_that_cannot_be_simulated_is_refused_in_one_line_that_names_the_j
     assert "\n" not in str(caught.value)
 
 
-def test_a_robot_as_exporters_write_it_moves_as_the_plain_one(tmp_path: Path) -> None:
+def test_a_robot_as_exporters_write_it_moves_as_the_plain_one(tmp_path):
     """Transmissions, a world link, fixed joints between those of the arm, a mirrored finger, a continuous joint."""
     plain = Candidate("robots", "plain", small_arm(tmp_path))
     dressed = Candidate("robots", "dressed", exported_arm(tmp_path))
@@ -138,7 +134,7 @@ def test_a_robot_as_exporters_write_it_moves_as_the_plain_one(tmp_path: Path) ->
         assert other.robot.opening == pytest.approx(one.robot.opening, abs=1e-3)
 
 
-def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_stands(tmp_path: Path) -> None:
+def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_stands(tmp_path):
     urdfs, meshes = tmp_path / "my_robot" / "urdf", tmp_path / "my_robot" / "meshes"
     urdfs.mkdir(parents=True)
     meshes.mkdir()
@@ -150,7 +146,7 @@ def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_st
     assert find_named("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
 
 
-def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(tmp_path: Path) -> None:
+def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(tmp_path):
     path = tmp_path / "robot.urdf"
     path.write_text(robot(A, B.replace('izz="1"', 'izz="3"'), J))
     found = urdf.load(path)
@@ -159,13 +155,13 @@ def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(tmp
     assert [float(inertia.get(key, "0")) for key in ("ixx", "iyy", "izz")] == pytest.approx([1.5, 1.5, 3], abs=0.01)
 
 
-def test_dry_friction_takes_torque_from_its_motor(tmp_path: Path) -> None:
+def test_dry_friction_takes_torque_from_its_motor(tmp_path):
     path = tmp_path / "robot.urdf"
     path.write_text(robot(A, B, turning("j", "a", "b", f'{LIMIT}<dynamics damping="2" friction=".25"/>')))
     assert urdf.load(path).joints[0].effort == 0.75
 
 
-def test_a_locked_joint_takes_along_those_that_mimic_it(tmp_path: Path) -> None:
+def test_a_locked_joint_takes_along_those_that_mimic_it(tmp_path):
     path = tmp_path / "robot.urdf"
     mimic = f'{LIMIT}<origin xyz="0 0 1"/><mimic joint="j" multiplier="-1" offset="0.5"/>'  # held at 0
     links = f'{A}{B}<link name="c">{BODY}<collision><origin xyz="0 1 0"/>{BALL}</collision></link>'

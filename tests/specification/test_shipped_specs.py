@@ -23,13 +23,6 @@ def test_there_are_specs_to_test():
     assert {"panda_reach.yaml", "toy.yaml"} <= {path.name for path in RUNNABLE}
 
 
-@pytest.mark.parametrize("path", RUNNABLE, ids=lambda path: str(path.relative_to(SPECS)))
-def test_shipped_spec_is_right_and_loads_again(path):
-    spec = load_spec(path)
-    assert spec_from_dict(spec.dump()) == spec
-    assert set(spec.origins.values()) != {"default"}
-
-
 @cache
 def shipped_validator() -> Draft202012Validator:
     schema, broken = spec_schema()
@@ -38,13 +31,18 @@ def shipped_validator() -> Draft202012Validator:
 
 
 @pytest.mark.parametrize("path", ALL, ids=lambda path: str(path.relative_to(SPECS)))
-def test_shipped_spec_fits_the_schema(path):
+def test_shipped_spec_fits_the_schema_and_loads_again_as_its_copy_does(tmp_path, path):
     node, problems = read(path.read_text("utf-8"), path.name)
     assert not problems
     assert node is not None
     wrong = sorted(error.json_path for error in shipped_validator().iter_errors(node.plain()))
     needs_base = path.parent.name == "bases"  # a base may leave robot and task to the spec that extends it
     assert [place for place in wrong if not (needs_base and place == "$")] == []
+    copied = write(tmp_path, path.name, shipped_text(str(path.relative_to(SPECS).with_suffix(""))))
+    if path in RUNNABLE:
+        spec = load_spec(path)
+        assert load_spec(copied) == spec_from_dict(spec.dump()) == spec
+        assert set(spec.origins.values()) != {"default"}
 
 
 GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place throw"}
@@ -75,15 +73,6 @@ def test_shipped_spec_is_found_by_name_and_a_file_comes_first(tmp_path, monkeypa
     assert load_spec("karolos:panda_reach") == shipped
 
 
-@pytest.mark.parametrize("path", ALL, ids=lambda path: str(path.relative_to(SPECS)))
-def test_copy_of_a_shipped_spec_is_the_same_spec(tmp_path, path):
-    name = str(path.relative_to(SPECS).with_suffix(""))
-    copied = tmp_path / path.name
-    copied.write_text(shipped_text(name))
-    if path in RUNNABLE:
-        assert load_spec(copied) == load_spec(path)
-
-
 def test_override_of_a_name_keeps_the_settings_that_both_plugins_have_and_origins_tell():
     path = SPECS / "panda_reach.yaml"
     before, after = load_spec(path), load_spec(path, ["buffer.name=priority"])
@@ -102,7 +91,7 @@ def test_override_of_a_name_keeps_the_settings_that_both_plugins_have_and_origin
 REACH = "robot: panda\ntask: reach\nagent: sac\n"
 
 
-def test_a_number_is_a_distribution_of_one_value(tmp_path: Path) -> None:
+def test_a_number_is_a_distribution_of_one_value(tmp_path):
     plain = load_spec(write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -5}\n"))
     drawn = {"name": "choice", "values": [-5.0], "weights": None}
     assert plain.dump()["randomization"] == {"task.gravity": drawn}
@@ -120,12 +109,12 @@ def test_a_number_is_a_distribution_of_one_value(tmp_path: Path) -> None:
         (".inf", "s.yaml:4:31: randomization.task.gravity.values[0]: should be a finite number"),
     ],
 )
-def test_other_values_are_refused(tmp_path: Path, value: str, expected: str) -> None:
+def test_other_values_are_refused(tmp_path, value, expected):
     (line,) = problems_of(write(tmp_path, "s.yaml", REACH + f"randomization: {{task.gravity: {value}}}\n"))
     assert line.startswith(expected)
 
 
-def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path: Path) -> None:
+def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path):
     path = write(tmp_path, "s.yaml", REACH + "randomization: {task.gravity: -50}\n")
     with pytest.raises(UsageError, match=r"s\.yaml:4:\d+: randomization\.task\.gravity: .* allowed is -20 to 0 m/s2"):
         check_parts(load_spec(path))
@@ -135,8 +124,8 @@ def test_a_value_that_the_parameter_never_takes_is_refused_before_a_run(tmp_path
     ("override", "example"), [("task.gravity=-5", "task.gravity"), ("robot.link_mas=2", "robot.link_mass")]
 )
 def test_a_parameter_among_the_settings_is_told_where_it_goes_and_a_misspelt_one_is_not_repeated(
-    tmp_path: Path, override: str, example: str
-) -> None:
+    tmp_path, override, example
+):
     (line,) = problems_of(write(tmp_path, "s.yaml", REACH), override)
     part, name = ("task", "reach") if "task" in override else ("robot", "panda")
     hint = f"is set as e.g. randomization: {{{example}: NUMBER}}; `karolos inspect {part} {name}` shows all"
@@ -144,7 +133,7 @@ def test_a_parameter_among_the_settings_is_told_where_it_goes_and_a_misspelt_one
     assert line.endswith(hint)
 
 
-def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_that_has_both() -> None:
+def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_that_has_both():
     with pytest.raises(SpecError) as caught:
         load_spec("panda_reach", ["training.steps=5", "agent=ppo"])
     line = str(caught.value)
@@ -153,13 +142,13 @@ def test_an_agent_that_needs_another_buffer_is_told_at_its_override_with_a_spec_
     assert load_spec("panda_reach_ppo").buffer.name == "on_policy"
 
 
-def test_a_number_of_seeds_means_the_first_ones(tmp_path: Path) -> None:
+def test_a_number_of_seeds_means_the_first_ones(tmp_path):
     path = write(tmp_path, "s.yaml", REACH + "seeds: 3\n")
     assert load_spec(path).seeds == (0, 1, 2)
     assert load_spec(path, ["seeds=1"]) == load_spec(path, ["seeds=[0]"])
 
 
-def test_a_home_folder_in_a_path_is_refused(tmp_path: Path) -> None:
+def test_a_home_folder_in_a_path_is_refused(tmp_path):
     (line,) = problems_of(write(tmp_path, "s.yaml", REACH.replace("sac", "{name: sac, start_from: ~/x}")))
     assert line.startswith("s.yaml:3:32: agent.start_from: ~/x: ~ and variables are not replaced")
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import math
 from typing import Any
 
@@ -50,7 +48,7 @@ VALUES: dict[str, Any] = {
         "success~9",
     ],
 )
-def test_filter_fits(text: str) -> None:
+def test_filter_fits(text):
     assert parse(text).matches(VALUES)
 
 
@@ -74,7 +72,7 @@ def test_filter_fits(text: str) -> None:
         "not seed=3 and task=reach or state=failed",
     ],
 )
-def test_filter_does_not_fit(text: str) -> None:
+def test_filter_does_not_fit(text):
     assert not parse(text).matches(VALUES)
 
 
@@ -102,13 +100,13 @@ def test_filter_does_not_fit(text: str) -> None:
         ("seed=__import__('os')", 6, "'__import__'"),
     ],
 )
-def test_filter_that_cannot_be_read_names_the_column(text: str, column: int, what: str) -> None:
+def test_filter_that_cannot_be_read_names_the_column(text, column, what):
     with pytest.raises(UsageError) as caught:
         parse(text)
     assert str(caught.value).startswith(f"filter, column {column}: {what} ")
 
 
-def test_filter_is_bounded() -> None:
+def test_filter_is_bounded():
     deep = "not " * (DEEPEST - 1)
     assert not parse(f"{deep}seed=3").matches(VALUES)
     for text in (f"not {deep}seed=3", "not " * 2000 + "seed=3", "(" * 5000):
@@ -119,7 +117,7 @@ def test_filter_is_bounded() -> None:
     assert parse("seed=" + "9" * 5000).matches({"seed": math.inf})
 
 
-def test_keys_are_those_that_are_named() -> None:
+def test_keys_are_those_that_are_named():
     assert parse("a=1 and (b.c<2 or not 'd e' in (3, f))").keys == {"a", "b.c", "d e"}
 
 
@@ -156,12 +154,12 @@ def holds(tree: Any, values: dict[str, int]) -> bool:
 
 
 @given(trees, st.fixed_dictionaries({key: st.integers(-3, 3) for key in "abc"}))
-def test_filter_means_what_logic_does(tree: Any, values: dict[str, int]) -> None:
+def test_filter_means_what_logic_does(tree, values):
     assert parse(write(tree)).matches(values) == holds(tree, values)
 
 
 @given(st.text(max_size=40))
-def test_any_text_is_read_or_refused(text: str) -> None:
+def test_any_text_is_read_or_refused(text):
     try:
         fits = parse(text).matches(VALUES)
     except UsageError:
@@ -170,12 +168,12 @@ def test_any_text_is_read_or_refused(text: str) -> None:
 
 
 @given(st.text(st.characters(exclude_categories=["Cs"]), min_size=1, max_size=20))
-def test_text_in_quotes_is_taken_as_it_stands(text: str) -> None:
+def test_text_in_quotes_is_taken_as_it_stands(text):
     quoted = text.replace("\\", "\\\\").replace('"', '\\"')
     assert parse(f'note="{quoted}"').matches({"note": text})
 
 
-def test_a_number_is_not_compared_with_a_text() -> None:
+def test_a_number_is_not_compared_with_a_text():
     for text, column in (("task=reach and steps>1k", 22), ("steps in (1, many)", 14), ("steps != 1_k", 10)):
         with pytest.raises(UsageError, match=rf"column {column}: '.*' is not a number, as steps is"):
             parse(text).refuse_texts({"steps"})
@@ -183,7 +181,7 @@ def test_a_number_is_not_compared_with_a_text() -> None:
 
 
 @pytest.mark.parametrize("text", ["state=finisched", "task=reach and state in (failed, finisched)"])
-def test_state_that_does_not_exist_is_refused_with_the_closest(text: str) -> None:
+def test_state_that_does_not_exist_is_refused_with_the_closest(text):
     with pytest.raises(UsageError, match=r"'finisched' is not a state.*did you mean 'finished'"):
         parse(text).refuse_unknown(lambda _: True, lambda _: None)
     parse("state=finished or state in (failed, lost) or state=null or state~fin").refuse_unknown(

@@ -1,7 +1,5 @@
 """What the index keeps, what it finds, how it is asked, and what it refuses."""
 
-from __future__ import annotations
-
 import resource
 import shutil
 import sqlite3
@@ -36,7 +34,7 @@ def store(tmp_path: Path) -> Store:
 # What it keeps.
 
 
-def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None:
+def test_run_comes_back_as_its_folder_says(store, tmp_path):
     run = indexed_run(store, tmp_path, seed=2**63 - 1)
     assert store.runs() == (run.summary(),)
     for each in (result(100, 3, end=20), result(200, 19, end=20)):
@@ -52,7 +50,7 @@ def test_run_comes_back_as_its_folder_says(store: Store, tmp_path: Path) -> None
     )
 
 
-def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_path: Path) -> None:
+def test_a_state_changes_no_test_and_a_test_only_its_own_row(store, tmp_path):
     run = indexed_run(store, tmp_path)
     for each in (result(100, 3), result(200, 5)):
         run.add_test(each)
@@ -72,7 +70,7 @@ def test_a_state_changes_no_test_and_a_test_only_its_own_row(store: Store, tmp_p
     assert stored(store, run.id).tests == run.record().tests
 
 
-def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
+def test_runs_move_with_their_database(store, tmp_path):
     runs = tmp_path / "runs"
     with Store(Store.default_url(runs)) as before:
         run = indexed_run(before, runs)
@@ -82,7 +80,7 @@ def test_runs_move_with_their_database(store: Store, tmp_path: Path) -> None:
         assert after.runs()[0].state == "created"  # the lock is seen there, too
 
 
-def test_labels_of_an_unknown_run_are_told(store: Store, tmp_path: Path) -> None:
+def test_labels_of_an_unknown_run_are_told(store, tmp_path):
     run = indexed_run(store, tmp_path)
     store.remove_runs([run.id])
     with pytest.raises(StoreError, match=r"is not in the database; its folder is complete"):
@@ -92,7 +90,7 @@ def test_labels_of_an_unknown_run_are_told(store: Store, tmp_path: Path) -> None
 # What it finds.
 
 
-def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
+def test_runs_are_listed_newest_first_and_filtered(store):
     old, middle, new = (
         bare(store, f"{name}-s0-1", created=f"2026-01-0{day}T00:00:00.000000Z", state=state)
         for name, day, state in (("reach", 1, "finished"), ("push", 2, "failed"), ("reach_100%", 3, "finished"))
@@ -109,7 +107,7 @@ def test_runs_are_listed_newest_first_and_filtered(store: Store) -> None:
         store.runs(state="done")
 
 
-def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Path) -> None:
+def test_run_whose_process_is_gone_is_listed_as_lost(store, tmp_path):
     run = indexed_run(store, tmp_path)
     run.set_state("running")
     store.add_records([run.record()])
@@ -120,7 +118,7 @@ def test_run_whose_process_is_gone_is_listed_as_lost(store: Store, tmp_path: Pat
     assert query.find(store, run.id).state == "lost"
 
 
-def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store: Store, tmp_path: Path) -> None:
+def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store, tmp_path):
     run = indexed_run(store, tmp_path)
     run.set_state("running")
     store.add_records([run.record()])
@@ -131,12 +129,12 @@ def test_end_that_was_not_indexed_any_more_is_read_from_the_folder(store: Store,
     assert store.runs()[0].success_any == 1.0
 
 
-def test_unfinished_run_without_a_folder_stays_as_indexed(store: Store) -> None:
+def test_unfinished_run_without_a_folder_stays_as_indexed(store):
     bare(store, "x", state="running")
     assert store.runs()[0].state == "running"
 
 
-def test_selector_means_one_run(store: Store) -> None:
+def test_selector_means_one_run(store):
     with pytest.raises(UsageError, match="there are no runs yet"):
         query.find(store, "@last")
     first = bare(store, "reach-s0-1", created="2026-01-01")
@@ -158,7 +156,7 @@ def test_selector_means_one_run(store: Store) -> None:
         query.find(store, "y")
 
 
-def test_path_of_a_run_folder_means_no_other_run(store: Store, tmp_path: Path) -> None:
+def test_path_of_a_run_folder_means_no_other_run(store, tmp_path):
     run = indexed_run(store, tmp_path)
     copy = shutil.copytree(run.path, tmp_path / "elsewhere" / run.id)
     (tmp_path / "link").symlink_to(run.path)
@@ -210,7 +208,7 @@ sys.exit(any(os.waitpid(child, 0)[1] for child in children))
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_ten_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path, kind: str) -> None:
+def test_ten_processes_make_the_database_at_once_and_lose_nothing(tmp_path, kind):
     with empty_database(kind, tmp_path) as url:
         with RunFolder.create(tmp_path, "x", 99) as shared:
             shared.describe({"name": "x"}, experiment="same", source=tmp_path)
@@ -224,7 +222,7 @@ def test_ten_processes_make_the_database_at_once_and_lose_nothing(tmp_path: Path
             assert all(len(record.tests) == 5 for record in store.records(runs))
 
 
-def test_sqlite_on_a_network_share_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_sqlite_on_a_network_share_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.system.network_share", lambda path: "nfs4")
     with pytest.raises(StoreError, match=r"SQLite loses data on a network share \(nfs4\)"):
         Store(Store.default_url(tmp_path))
@@ -248,7 +246,7 @@ def seeds(any_store: Store, where: str) -> list[int]:
     return sorted(run.seed for run in any_store.runs(where=where))
 
 
-def test_filters_know_columns_settings_labels_and_versions(any_store: Store, tmp_path: Path) -> None:
+def test_filters_know_columns_settings_labels_and_versions(any_store, tmp_path):
     first, second, third = (
         add(any_store, tmp_path, 1),
         add(any_store, tmp_path, 2, 1e-4),
@@ -294,14 +292,14 @@ def test_filters_know_columns_settings_labels_and_versions(any_store: Store, tmp
         ("zzzzzzzz=1", "no run has 'zzzzzzzz'; `karolos runs show RUN` shows"),
     ],
 )
-def test_a_filter_that_can_match_no_run_says_why(any_store: Store, tmp_path: Path, where: str, told: str) -> None:
+def test_a_filter_that_can_match_no_run_says_why(any_store, tmp_path, where, told):
     add(any_store, tmp_path, 1)
     with pytest.raises(UsageError) as caught:
         any_store.runs(where=where)
     assert told in str(caught.value)
 
 
-def test_selector_means_a_run_or_all_of_an_experiment(any_store: Store, tmp_path: Path) -> None:
+def test_selector_means_a_run_or_all_of_an_experiment(any_store, tmp_path):
     ab, ac = "ab" * 32, "abac" * 16
     runs = [add(any_store, tmp_path, seed, experiment=ab if seed < 3 else ac) for seed in (1, 2, 3)]
     first, second, third = (run.summary() for run in runs)
@@ -322,7 +320,7 @@ def test_selector_means_a_run_or_all_of_an_experiment(any_store: Store, tmp_path
         query.select(any_store, "ffffff")
 
 
-def test_hash_that_begins_several_experiments_names_them(any_store: Store) -> None:
+def test_hash_that_begins_several_experiments_names_them(any_store):
     for tail in "12":
         bare(any_store, f"run{tail}", experiment="abcdef" + tail * 58)
     with pytest.raises(UsageError, match="'abcdef' begins several experiments; add digits: abcdef111111, abcdef222222"):
@@ -334,7 +332,7 @@ def stored_densities(any_store: Store) -> list[tuple[float, int, float]]:
     return [(row.steps, row.runs, row.mode) for row in rows]
 
 
-def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(any_store: Store, tmp_path: Path) -> None:
+def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(any_store, tmp_path):
     runs = [add(any_store, tmp_path, seed) for seed in (1, 2, 3)]
     ratios = {100.0: [1.0, 0.9, 0.2], 200.5: [0.5, 0.5, 0.5]}
     first = success_densities(any_store, "a" * 64, "end", ratios)
@@ -358,7 +356,7 @@ def test_densities_are_stored_until_a_test_or_a_run_is_added_or_removed(any_stor
         assert stored_densities(any_store) == []
 
 
-def test_database_that_may_only_be_read_still_answers(tmp_path: Path) -> None:
+def test_database_that_may_only_be_read_still_answers(tmp_path):
     with Store(Store.default_url(tmp_path)) as any_store:
         run = add(any_store, tmp_path, 1)
 
@@ -378,7 +376,7 @@ def database(store: Store) -> sqlite3.Connection:
     return sqlite3.connect(store.url.database or "", isolation_level=None, timeout=0)
 
 
-def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Path) -> None:
+def test_locked_database_is_told_after_the_time_limit(store, tmp_path):
     run = indexed_run(store, tmp_path)
     with database(store) as other:
         other.execute("BEGIN EXCLUSIVE")
@@ -390,7 +388,7 @@ def test_locked_database_is_told_after_the_time_limit(store: Store, tmp_path: Pa
     store.add_records([run.record()])
 
 
-def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None:
+def test_reader_does_not_wait_for_a_writer(store, tmp_path):
     run = indexed_run(store, tmp_path)
     with database(store) as other:
         other.execute("BEGIN IMMEDIATE")
@@ -400,7 +398,7 @@ def test_reader_does_not_wait_for_a_writer(store: Store, tmp_path: Path) -> None
 @pytest.mark.parametrize(
     ("version", "told"), [(SCHEMA + 1, "a newer .*; move it away and run"), (0, "an older .*; `karolos db upgrade`")]
 )
-def test_database_of_another_schema_is_refused_and_not_touched(store: Store, version: int, told: str) -> None:
+def test_database_of_another_schema_is_refused_and_not_touched(store, version, told):
     with database(store) as other:
         other.execute("UPDATE karolos_schema SET version = ?", [version])
     other.close()
@@ -410,7 +408,7 @@ def test_database_of_another_schema_is_refused_and_not_touched(store: Store, ver
     assert Path(store.url.database or "").read_bytes() == content
 
 
-def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -> None:
+def test_database_of_something_else_is_refused_and_not_touched(tmp_path):
     with sqlite3.connect(tmp_path / "other.sqlite") as other:
         other.execute("CREATE TABLE alembic_version (x)")
     other.close()
@@ -422,14 +420,14 @@ def test_database_of_something_else_is_refused_and_not_touched(tmp_path: Path) -
     assert (tmp_path / "other.sqlite").read_bytes() == content
 
 
-def test_file_that_is_no_database_is_refused(tmp_path: Path) -> None:
+def test_file_that_is_no_database_is_refused(tmp_path):
     (tmp_path / "karolos.sqlite").write_text("steps,success\n" * 100)
     with pytest.raises(StoreError, match=r"the file is not a database; name another"):
         Store(Store.default_url(tmp_path))
     assert (tmp_path / "karolos.sqlite").read_text().startswith("steps,success")
 
 
-def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
+def test_damaged_database_is_told(store, tmp_path):
     for _ in range(50):
         bare(store, f"x{_}")
     path = Path(store.url.database or "")
@@ -450,7 +448,7 @@ def test_damaged_database_is_told(store: Store, tmp_path: Path) -> None:
         ("UPDATE runs SET seed = 'x', steps = 'y'", "the row of the run reach-s3-"),
     ],
 )
-def test_damaged_row_is_told(store: Store, tmp_path: Path, change: str, told: str) -> None:
+def test_damaged_row_is_told(store, tmp_path, change, told):
     indexed_run(store, tmp_path).release()
     with database(store) as other:
         other.execute(change)
@@ -458,7 +456,7 @@ def test_damaged_row_is_told(store: Store, tmp_path: Path, change: str, told: st
         store.records(store.runs())
 
 
-def test_read_only_database_is_told(tmp_path: Path) -> None:
+def test_read_only_database_is_told(tmp_path):
     with sqlite3.connect(tmp_path / "x.sqlite") as other:
         other.execute("CREATE TABLE x (y)")
     url = make_url(f"sqlite:///{tmp_path}/x.sqlite")
@@ -468,7 +466,7 @@ def test_read_only_database_is_told(tmp_path: Path) -> None:
             connection.exec_driver_sql("INSERT INTO x VALUES (1)")
 
 
-def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(store: Store, tmp_path: Path) -> None:
+def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(store, tmp_path):
     run = indexed_run(store, tmp_path)
     Path(store.url.database or "").unlink()
     with pytest.raises(StoreError, match="the database cannot be opened"):
@@ -476,13 +474,13 @@ def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(stor
     assert not Path(store.url.database or "").exists()
 
 
-def test_folder_in_place_of_the_database_is_told(tmp_path: Path) -> None:
+def test_folder_in_place_of_the_database_is_told(tmp_path):
     (tmp_path / "karolos.sqlite").mkdir()
     with pytest.raises(StoreError, match="cannot be opened"):
         Store(Store.default_url(tmp_path))
 
 
-def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
+def test_file_in_place_of_its_folder_is_told(tmp_path):
     (tmp_path / "runs").write_text("")
     with pytest.raises(MachineError, match="a file is in the way of a folder"):
         Store(Store.default_url(tmp_path / "runs"))
@@ -491,7 +489,7 @@ def test_file_in_place_of_its_folder_is_told(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     "url", ["", "runs/karolos.sqlite", "sqlite://", "sqlite:///:memory:", "sqlite:///file:x?uri=true"]
 )
-def test_url_that_names_no_database_is_told(url: str) -> None:
+def test_url_that_names_no_database_is_told(url):
     with pytest.raises(StoreError, match=r"is not a database URL; e\.g\. sqlite|must name a file"):
         Store(url)
 
@@ -505,13 +503,13 @@ def test_url_that_names_no_database_is_told(url: str) -> None:
         "postgresql://me:secret@host:port/x",
     ],
 )
-def test_driver_that_is_missing_is_told_without_the_password(url: str) -> None:
+def test_driver_that_is_missing_is_told_without_the_password(url):
     with pytest.raises(StoreError) as caught:
         Store(url)
     assert "secret" not in str(caught.value)
 
 
-def test_full_disk_is_told_and_loses_nothing_stored(store: Store) -> None:
+def test_full_disk_is_told_and_loses_nothing_stored(store):
     stored: list[RunSummary] = []
 
     def fill(store: Store) -> None:
@@ -529,7 +527,7 @@ def test_full_disk_is_told_and_loses_nothing_stored(store: Store) -> None:
     assert set(store.runs()) == set(stored)
 
 
-def test_settings_of_sqlite_hold(store: Store) -> None:
+def test_settings_of_sqlite_hold(store):
     with store.engine.connect() as connection:
         pragmas = [connection.exec_driver_sql(f"PRAGMA {name}").scalar() for name in ("foreign_keys", "synchronous")]
         assert pragmas == [1, 2]

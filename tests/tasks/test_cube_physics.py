@@ -38,7 +38,7 @@ def slide(engine: str, drawn: dict[str, float]) -> float:
         ({"object_mass": 2.0}, FLOOR_FRICTION),
     ],
 )
-def test_a_cube_slides_as_far_as_coulombs_law_says(engine: str, drawn: dict[str, float], friction: float) -> None:
+def test_a_cube_slides_as_far_as_coulombs_law_says(engine, drawn, friction):
     far = SPEED**2 / (2 * friction * -GRAVITY)
     assert slide(engine, drawn) == pytest.approx(far, rel=0.01 if engine == "mujoco" else 0.12)
 
@@ -57,13 +57,13 @@ def shoulder_torque(mass: float) -> tuple[float, float]:
     return torque, float(np.hypot(x, y))
 
 
-def test_a_heavier_cube_needs_as_much_more_torque_as_its_weight_and_distance() -> None:
+def test_a_heavier_cube_needs_as_much_more_torque_as_its_weight_and_distance():
     (light, distance), (heavy, _) = shoulder_torque(0.1), shoulder_torque(0.6)
     assert abs(heavy - light) == pytest.approx(0.5 * -GRAVITY * distance, rel=0.25)
 
 
 @pytest.mark.parametrize("task", ["pick_place", "push"])
-def test_what_one_episode_drew_does_not_reach_the_next(task: str) -> None:
+def test_what_one_episode_drew_does_not_reach_the_next(task):
     draws = {
         "task.object_mass": part("distributions", "log_uniform", low=0.02, high=1.0),
         "task.object_friction": part("distributions", "uniform", low=0.1, high=2.0),
@@ -84,7 +84,7 @@ def test_what_one_episode_drew_does_not_reach_the_next(task: str) -> None:
 
 @pytest.mark.parametrize("task", ["pick_place", "push"])
 @pytest.mark.parametrize("place", [(0.5, 0.0, -1.0), (0.0, 12.0, 0.02), (float("nan"), 0.0, 0.0)])
-def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: str, place: tuple[float, ...]) -> None:
+def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task, place):
     environment: RobotTask = made(task)
     start = environment.reset(1)
     still = np.zeros(environment.signature.action.size)
@@ -107,7 +107,7 @@ def test_a_cube_that_is_lost_ends_the_episode_as_truncated_and_diverged(task: st
     assert environment.divergences == 1
 
 
-def test_a_softer_cube_is_refused_where_the_engine_has_one_stiffness() -> None:
+def test_a_softer_cube_is_refused_where_the_engine_has_one_stiffness():
     if "bullet" in ENGINES:
         with pytest.raises(UsageError, match=r"task.object_stiffness: the engine bullet has no stiffness"):
             made("push", environment={"engine": "bullet"}, object_stiffness=1e5)

@@ -56,9 +56,7 @@ def test_a_cube_that_starts_grasped_is_in_the_hand_and_is_lifted_with_it():
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize(("task", "closest", "furthest"), [("push", 0.055, 0.224), ("pick_place", 0.006, 0.08)])
-def test_an_episode_that_starts_near_the_cube_does_not_touch_it(
-    robot: str, task: str, closest: float, furthest: float
-) -> None:
+def test_an_episode_that_starts_near_the_cube_does_not_touch_it(robot, task, closest, furthest):
     environment = made(task, robot, start_near=1.0)
     tool, rest = environment.signature.observation.slice("tool_position"), np.zeros(environment.signature.action.size)
     rest[3:] = 1.0  # an open gripper stays open
@@ -84,9 +82,7 @@ def test_half_of_the_pushes_that_start_near_the_cube_start_above_the_floor():
 
 
 @pytest.mark.parametrize(("grasped", "near", "expected"), [(0.0, 0.4, 0.4), (0.5, 0.4, 0.2), (1.0, 1.0, 0.0)])
-def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(
-    grasped: float, near: float, expected: float
-) -> None:
+def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(grasped, near, expected):
     environment = made("pick_place", start_grasped=grasped, start_near=near)
     opening = environment.signature.observation.slice("gripper_opening")
     tool = environment.signature.observation.slice("tool_position")
@@ -98,7 +94,7 @@ def test_start_near_is_the_share_of_the_episodes_that_do_not_start_grasped(
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_stack_counts_only_where_cubes_stand_on_each_other_and_nothing_holds_them(engine: str) -> None:
+def test_a_stack_counts_only_where_cubes_stand_on_each_other_and_nothing_holds_them(engine):
     environment = made("stack", environment={"engine": engine}, start_above=1.0)
     still = np.zeros(environment.signature.action.size, np.float32)
     held = environment.reset(0)
@@ -140,7 +136,7 @@ def test_some_goals_of_training_are_a_cube_that_is_held_in_the_air():
 
 
 @pytest.mark.parametrize(("stacked", "height"), [(0.0, 0.02), (1.0, 0.06)])
-def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, height: float) -> None:
+def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked, height):
     environment = made("stack", height=3, max_steps=200, start_stacked=stacked)
     steps = expert_episode(environment, 1)
     second = environment.signature.observation.slice("cube_2_position")
@@ -150,7 +146,7 @@ def test_three_cubes_are_stacked_from_the_floor_or_from_two(stacked: float, heig
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engine: str) -> None:
+def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engine):
     environment = made("slide", environment={"engine": engine}, max_steps=240)
     steps = expert_episode(environment, 1)
     left = max(k for k, step in enumerate(steps) if step.reward < 0) + 1  # from here on it is on its way
@@ -164,7 +160,7 @@ def test_a_puck_comes_to_rest_where_it_is_computed_to_and_counts_only_then(engin
     assert environment.task.nearest - 0.05 == pytest.approx(made("throw").task.planner.reach, abs=5e-3)
 
 
-def test_a_slide_may_succeed_where_it_is_not_rewarded() -> None:
+def test_a_slide_may_succeed_where_it_is_not_rewarded():
     rule = Rest(0.05, dense=False, span=1.0, reward_share=0.7)
     achieved = np.array([[0.03, 0, 1], [0.04, 0, 1], [0.06, 0, 1], [0.03, 0, 0]], np.float32)
     target = np.zeros((4, 2), np.float32)
@@ -172,7 +168,7 @@ def test_a_slide_may_succeed_where_it_is_not_rewarded() -> None:
     assert rule.success(achieved, target).tolist() == [True, True, False, False]
 
 
-def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way() -> None:
+def test_an_episode_that_ends_out_of_reach_is_truncated_with_the_puck_on_its_way():
     environment = made("slide", end_out_of_reach=1.0, max_steps=240)
     steps = expert_episode(environment, 1)
     assert steps[-1].truncated
@@ -188,7 +184,7 @@ def test_a_cube_wider_than_the_gripper_is_refused():
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robot: str) -> None:
+def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robot):
     draws = {"robot.action_delay": values(2.0)}
     environment = made("pick_place", robot, draws=draws, start_grasped=1.0)
     lift = np.array([0, 0, 1, -1], np.float32)
@@ -200,7 +196,7 @@ def test_a_gripper_that_holds_keeps_its_grip_until_the_first_delayed_action(robo
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
+def test_the_discrete_action_nothing_keeps_the_grip(robot):
     environment = made("pick_place", robot, environment={"actions": "discrete"}, start_grasped=1.0)
     labels = environment.signature.action.labels
     for seed in range(3):
@@ -211,7 +207,7 @@ def test_the_discrete_action_nothing_keeps_the_grip(robot: str) -> None:
 
 
 @pytest.mark.parametrize("task", ["pick_place", "push", "throw"])
-def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(task: str) -> None:
+def test_observation_noise_is_on_the_object_too_and_nothing_gives_the_tool_away(task):
     noise = 0.05
     draws = {"robot.observation_noise": values(noise)}
     environment = made(task, draws=draws)
@@ -237,7 +233,7 @@ def episode(task: str, **parameters: float) -> tuple[Any, list[Any]]:
 
 
 @pytest.mark.parametrize("task", ["pick_place", "push", "insert", "open"])
-def test_late_observations_are_those_of_before_and_change_nothing_else(task: str) -> None:
+def test_late_observations_are_those_of_before_and_change_nothing_else(task):
     environment, plain = episode(task)
     period = 1 / environment.rate
     late, between = (episode(task, latency=share * period)[1] for share in (1, 0.25))
@@ -249,7 +245,7 @@ def test_late_observations_are_those_of_before_and_change_nothing_else(task: str
     np.testing.assert_array_equal(late[0].observation, plain[0].observation)
 
 
-def test_jitter_makes_observations_older_by_up_to_as_much() -> None:
+def test_jitter_makes_observations_older_by_up_to_as_much():
     environment, plain = episode("push")
     _, varied = episode("push", jitter=0.5 / environment.rate)
     shares = []
@@ -269,7 +265,7 @@ def test_jitter_makes_observations_older_by_up_to_as_much() -> None:
         ("open", ["handle_position", "handle_from_tool"]),
     ],
 )
-def test_a_calibration_error_is_where_cameras_see_things_all_along_an_episode(task: str, shifted: list[str]) -> None:
+def test_a_calibration_error_is_where_cameras_see_things_all_along_an_episode(task, shifted):
     environment, plain = episode(task)
     off = [
         (seen.observation - true.observation)

@@ -8,7 +8,7 @@ from karolos.simulation.geometry import inverse, rotated
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_expert_opens_and_closes_a_door_with_every_arm(robot: str) -> None:
+def test_the_expert_opens_and_closes_a_door_with_every_arm(robot):
     environment = made("open", robot, mechanism="door")
     further = []
     for seed in range(5):
@@ -19,7 +19,7 @@ def test_the_expert_opens_and_closes_a_door_with_every_arm(robot: str) -> None:
 
 
 @pytest.mark.parametrize(("start", "most"), [("start_near", 0.081), ("start_hooked", 0.001)])
-def test_training_may_start_above_the_handle_or_behind_its_bar_and_touches_nothing(start: str, most: float) -> None:
+def test_training_may_start_above_the_handle_or_behind_its_bar_and_touches_nothing(start, most):
     environment = made("open", draws={f"task.{start}": values(1.0)}, mechanism="door")
     away = environment.signature.observation.slice("handle_from_tool")
     for seed in range(20):
@@ -31,7 +31,7 @@ def test_training_may_start_above_the_handle_or_behind_its_bar_and_touches_nothi
 
 
 @pytest.mark.parametrize("mechanism", ["drawer", "door"])
-def test_a_hooked_handle_moves_as_the_world_says_and_its_friction_holds_it(mechanism: str) -> None:
+def test_a_hooked_handle_moves_as_the_world_says_and_its_friction_holds_it(mechanism):
     environment = made("open", mechanism=mechanism, start_hooked=1.0)
     forces = []
     for friction in (0.0, 20.0):

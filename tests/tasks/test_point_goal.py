@@ -4,7 +4,6 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from karolos.core import Array
 from karolos.errors import RunError
 from karolos.simulation.interface import Box
 from karolos.tasks.point_goal import Places, PointGoal, sample_position
@@ -15,7 +14,7 @@ DENSE = PointGoal(0.05, dense=True, span=10.0)
 
 
 @given(points, points)
-def test_reward_and_success_agree(achieved: Array, desired: Array) -> None:
+def test_reward_and_success_agree(achieved, desired):
     success = SPARSE.success(achieved, desired)
     distance = np.linalg.norm(achieved.astype(float) - desired, axis=-1)
     clear = abs(distance - 0.05) > 1e-6
@@ -26,7 +25,7 @@ def test_reward_and_success_agree(achieved: Array, desired: Array) -> None:
 
 
 @given(points, points)
-def test_rewards_lie_in_the_declared_range(achieved: Array, desired: Array) -> None:
+def test_rewards_lie_in_the_declared_range(achieved, desired):
     for rule in (SPARSE, DENSE):
         rewards = rule.reward(achieved, desired)
         assert rewards.dtype == np.float32
@@ -34,11 +33,11 @@ def test_rewards_lie_in_the_declared_range(achieved: Array, desired: Array) -> N
         assert (rewards <= rule.reward_range[1]).all()
 
 
-def test_reaching_a_goal_ends_nothing() -> None:
+def test_reaching_a_goal_ends_nothing():
     assert not SPARSE.terminated(np.zeros((4, 3)), np.zeros((4, 3))).any()
 
 
-def test_sampled_positions_are_uniform_in_the_box_and_accepted() -> None:
+def test_sampled_positions_are_uniform_in_the_box_and_accepted():
     generator = np.random.Generator(np.random.PCG64(0))
     box = Box((0.0, -1.0, 2.0), (1.0, 1.0, 2.5))
     found = np.array([sample_position(generator, box, "it", lambda point: point[0] > 0.5) for _ in range(500)])
@@ -47,13 +46,13 @@ def test_sampled_positions_are_uniform_in_the_box_and_accepted() -> None:
     np.testing.assert_allclose(found.mean(0), (0.75, 0.0, 2.25), atol=0.08)
 
 
-def test_no_place_is_a_named_error_after_bounded_attempts() -> None:
+def test_no_place_is_a_named_error_after_bounded_attempts():
     generator = np.random.Generator(np.random.PCG64(0))
     with pytest.raises(RunError, match="no place for the cube"):
         sample_position(generator, Box((0, 0, 0), (1, 1, 1)), "the cube", lambda point: False)
 
 
-def test_each_thing_in_its_place_counts_and_the_last_when_all_are_left_alone() -> None:
+def test_each_thing_in_its_place_counts_and_the_last_when_all_are_left_alone():
     rule, goal = Places(0.015), np.array((0, 0, 0.04, 0, 0, 0.04, 1), np.float32)
     assert rule.reward(np.zeros((0, 7), np.float32), np.zeros((0, 7), np.float32)).shape == (0,), (
         "a batch without goals"

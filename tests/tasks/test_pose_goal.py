@@ -29,7 +29,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 
 
 @given(short, short)
-def test_rotations_are_those_of_their_matrices(one: tuple[float, ...], other: tuple[float, ...]) -> None:
+def test_rotations_are_those_of_their_matrices(one, other):
     first, second = rotation_about(one), rotation_about(other)
     np.testing.assert_allclose(rotation_vector(first), one, atol=1e-9)
     a, b = np.transpose(axes(first)), np.transpose(axes(second))
@@ -42,7 +42,7 @@ def test_rotations_are_those_of_their_matrices(one: tuple[float, ...], other: tu
 
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-2, 2), short)
-def test_orientations_are_cut_to_their_range(x: float, y: float, turn: float, middle: tuple[float, ...]) -> None:
+def test_orientations_are_cut_to_their_range(x, y, turn, middle):
     around = Orientations(rotation_about(middle), 0.3, 0.8)
     np.testing.assert_allclose(around.parts(around.at(x, y, turn)), (x, y, turn), atol=1e-9)
     tilt_x, tilt_y, turned = around.parts(around.nearest(around.at(x, y, turn)))
@@ -52,7 +52,7 @@ def test_orientations_are_cut_to_their_range(x: float, y: float, turn: float, mi
 
 
 @pytest.mark.parametrize(("away", "turn", "reached"), [(0.009, 4, True), (0.011, 4, False), (0.009, 6, False)])
-def test_a_pose_is_reached_by_position_and_angle(away: float, turn: float, reached: bool) -> None:
+def test_a_pose_is_reached_by_position_and_angle(away, turn, reached):
     rule = PoseGoal(0.01, radians(5), dense=False, span=1.0)
     goal = pose_array(ORIGIN, rotation_about((0.0, 0.5, 0.0)))
     achieved = pose_array((away, 0, 0), multiply(rotation_about((0, 0, radians(turn))), rotation_about((0, 0.5, 0))))
@@ -60,7 +60,7 @@ def test_a_pose_is_reached_by_position_and_angle(away: float, turn: float, reach
     assert rule.reward(achieved, goal) == (0 if reached else -1)
 
 
-def test_symmetries_and_an_axis_leave_turns_without_effect() -> None:
+def test_symmetries_and_an_axis_leave_turns_without_effect():
     quarter, tilted = rotation_about((0, 0, pi / 2)), rotation_about((0.3, 0.2, 0.1))
     goal = pose_array(ORIGIN, tilted)
     square = PoseGoal(0.01, 0.1, dense=True, span=1.0, symmetries=[quarter])
@@ -77,7 +77,7 @@ def test_symmetries_and_an_axis_leave_turns_without_effect() -> None:
     assert both.angle(reversed_, goal) == pytest.approx(0, abs=1e-3)
 
 
-def test_cartesian_actions_and_springs_of_pybullet_are_refused() -> None:
+def test_cartesian_actions_and_springs_of_pybullet_are_refused():
     for task in ("reach_pose", "reorient"):
         with pytest.raises(UsageError, match=r"robot.control: these actions do not turn the tool"):
             made(task, arm={"control": "cartesian"})
@@ -86,7 +86,7 @@ def test_cartesian_actions_and_springs_of_pybullet_are_refused() -> None:
 
 
 @pytest.mark.parametrize("control", ["pose", "impedance"])
-def test_actions_in_the_frame_of_the_tool_move_it_along_its_own_axes(control: str) -> None:
+def test_actions_in_the_frame_of_the_tool_move_it_along_its_own_axes(control):
     """Its z axis points down, and it is turned about it: a positive turn about z is one about the world's -z."""
     environment = made("reach_pose", arm={"control": control, "frame": "tool", "reset_noise": 0.0})
     environment.reset(0)
@@ -101,12 +101,12 @@ def test_actions_in_the_frame_of_the_tool_move_it_along_its_own_axes(control: st
 
 
 @pytest.mark.parametrize("wrong", [(0, 500), (500, 200), (300, 300), (1, 1e9)])
-def test_a_range_of_stiffness_rises_within_what_an_arm_can_have(wrong: tuple[float, float]) -> None:
+def test_a_range_of_stiffness_rises_within_what_an_arm_can_have(wrong):
     with pytest.raises(ValidationError, match="stiffness_range"):
         part("robots", "panda", stiffness_range=wrong)
 
 
-def test_a_seventh_number_chooses_the_stiffness_and_what_is_observed_has_noise() -> None:
+def test_a_seventh_number_chooses_the_stiffness_and_what_is_observed_has_noise():
     arm = {"control": "impedance", "stiffness_range": (100, 1600), "observe": ["wrench", "torques"]}
     environment = made("reach_pose", arm=arm)
     environment.reset(0)

@@ -6,7 +6,7 @@ from karolos.errors import UsageError
 
 
 @pytest.mark.parametrize(("goals", "edges"), [("box", (0.3, 0.3, 0.3)), ("workspace", (0.4, 0.5, 0.385))])
-def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals: str, edges: tuple[float, ...]) -> None:
+def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals, edges):
     environment = made("reach", goals=goals)
     drawn = np.array([environment.reset(seed).desired_goal for seed in range(400)])
     centre = environment.robot.workspace.centre
@@ -16,12 +16,12 @@ def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals: str, edges: 
         assert high - 0.05 * edge < drawn[:, axis].max() <= high + 1e-6
 
 
-def test_threshold_that_leaves_no_goal_is_refused() -> None:
+def test_threshold_that_leaves_no_goal_is_refused():
     with pytest.raises(UsageError, match=r"task.threshold: 0.3 m leaves no goal"):
         made("reach", threshold=0.3)
 
 
-def test_marker_stands_at_the_goal() -> None:
+def test_marker_stands_at_the_goal():
     environment = made("reach")
     environment.reset(0)
     without = environment.render(80, 60).astype(int)

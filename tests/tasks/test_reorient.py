@@ -7,7 +7,7 @@ from support.rig import expert_episode, made, values
 from karolos.simulation.geometry import axes
 
 
-def test_the_expert_brings_a_cylinder_to_its_pose() -> None:
+def test_the_expert_brings_a_cylinder_to_its_pose():
     environment = made("reorient", "ur5", shape="cylinder")
     stood = []
     for seed in range(4):
@@ -20,7 +20,7 @@ def test_the_expert_brings_a_cylinder_to_its_pose() -> None:
 
 @pytest.mark.parametrize("shape", ["box", "cylinder"])
 @pytest.mark.parametrize("start", ["start_carried", "start_grasped", "start_near"])
-def test_training_may_start_with_the_object_in_the_hand_or_near_it(start: str, shape: str) -> None:
+def test_training_may_start_with_the_object_in_the_hand_or_near_it(start, shape):
     environment = made("reorient", draws={f"task.{start}": values(1.0)}, shape=shape)
     layout = environment.signature.observation
     action = np.zeros(environment.signature.action.size, np.float32)
@@ -37,7 +37,7 @@ def test_training_may_start_with_the_object_in_the_hand_or_near_it(start: str, s
     assert (max(heights) > 0.05) == (start == "start_carried")
 
 
-def test_training_may_start_with_the_gripper_right_over_the_object_turned_away_and_partly_closed() -> None:
+def test_training_may_start_with_the_gripper_right_over_the_object_turned_away_and_partly_closed():
     environment = made("reorient", draws={"task.start_over": values(1.0)})
     layout = environment.signature.observation
     still = np.zeros(environment.signature.action.size, np.float32)

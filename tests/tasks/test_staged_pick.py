@@ -26,7 +26,7 @@ def away_from_the_goal(cube: Array, goal: Array = GOAL) -> bool:
 
 @given(places, shares, shares, st.sampled_from([0.0, 0.5, 1.0]))
 def test_the_nearer_the_tool_to_the_cube_the_higher_a_held_cube_and_the_nearer_it_to_the_goal_the_more(
-    direction: tuple[float, ...], near: float, far: float, pads: float
+    direction, near, far, pads
 ):
     near, far = sorted((near, far))
     cube, offset, level = np.array([0.3, 0.0, 0.02]), np.array(direction), np.array([*direction[:2], 0.0])
@@ -38,7 +38,7 @@ def test_the_nearer_the_tool_to_the_cube_the_higher_a_held_cube_and_the_nearer_i
 
 
 @given(places, places)
-def test_each_pad_that_touches_is_worth_a_part(cube: tuple[float, ...], tool: tuple[float, ...]):
+def test_each_pad_that_touches_is_worth_a_part(cube, tool):
     if away_from_the_goal(np.array(cube)):
         none, one, both = (worth(np.array(cube), np.array(tool), pads) for pads in (0.0, 0.5, 1.0))
         assert none < one < both
@@ -49,7 +49,7 @@ def test_each_pad_that_touches_is_worth_a_part(cube: tuple[float, ...], tool: tu
     arrays(np.float32, (6, 7), elements=st.floats(-3, 3, width=32)),
     arrays(np.float32, (6, 3), elements=st.floats(-3, 3, width=32)),
 )
-def test_it_is_bounded_and_zero_exactly_where_the_goal_is_reached(achieved: Array, desired: Array):
+def test_it_is_bounded_and_zero_exactly_where_the_goal_is_reached(achieved, desired):
     achieved[:, 6] = np.abs(np.round(achieved[:, 6])) % 3 / 2
     achieved[0, :3] = desired[0]
     rewards = RULE.reward(achieved, desired)
@@ -89,7 +89,7 @@ def test_rewards_of_an_episode_follow_from_the_goals_alone_so_that_hindsight_can
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot: str):
+def test_only_pads_that_face_each_other_around_the_cube_grip_it(robot):
     environment = made("pick_place", robot, reward="dense", start_grasped=1.0)
     held = environment.reset(0)
     close = np.array([0, 0, 0, -1], np.float32)

@@ -26,7 +26,7 @@ def holding(environment: RobotTask) -> np.ndarray:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_reach_and_furthest_throw_are_those_the_docstring_states(robot: str) -> None:
+def test_reach_and_furthest_throw_are_those_the_docstring_states(robot):
     planner = task_of(made("throw", robot)).planner
     reach, furthest = REACH_AND_FURTHEST[robot]
     assert round(planner.reach, 2) == reach
@@ -35,7 +35,7 @@ def test_reach_and_furthest_throw_are_those_the_docstring_states(robot: str) -> 
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_no_pose_reaches_further_than_the_reach(robot: str) -> None:
+def test_no_pose_reaches_further_than_the_reach(robot):
     environment = made("throw", robot)
     view, draws = environment.robot, np.random.default_rng(0)
     low, high = np.maximum(view.limits.lower, -np.pi), np.minimum(view.limits.upper, np.pi)
@@ -44,7 +44,7 @@ def test_no_pose_reaches_further_than_the_reach(robot: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_a_planned_throw_keeps_the_speed_limits_and_lands_on_its_target_by_the_whole_jacobian(robot: str) -> None:
+def test_a_planned_throw_keeps_the_speed_limits_and_lands_on_its_target_by_the_whole_jacobian(robot):
     environment = made("throw", robot)
     task, view = task_of(environment), environment.robot
     for angle in (-0.5, 0.0, 0.4):
@@ -62,7 +62,7 @@ def test_a_planned_throw_keeps_the_speed_limits_and_lands_on_its_target_by_the_w
             assert np.linalg.norm(landing - target) < 0.01
 
 
-def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw() -> None:
+def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw():
     environment = made("throw", sector=20)
     task = task_of(environment)
     starts = [environment.reset(seed) for seed in range(40)]
@@ -76,7 +76,7 @@ def test_targets_lie_beyond_the_reach_and_within_the_furthest_throw() -> None:
     assert not any(step.success or step.terminated for step in starts)
 
 
-def test_the_cube_starts_in_the_gripper_and_stays_there_while_it_is_held() -> None:
+def test_the_cube_starts_in_the_gripper_and_stays_there_while_it_is_held():
     environment = made("throw")
     tool = environment.signature.observation.slice("tool_position")
     cube = environment.signature.observation.slice("object_position")
@@ -88,7 +88,7 @@ def test_the_cube_starts_in_the_gripper_and_stays_there_while_it_is_held() -> No
         assert step.reward == 0
 
 
-def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_the_cube_slides_to() -> None:
+def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_the_cube_slides_to():
     environment = made("throw")
     task = task_of(environment)
     steps = expert_episode(environment, 5)
@@ -112,7 +112,7 @@ def test_the_landing_is_where_free_fall_from_the_release_comes_down_not_where_th
     assert len(cross) == 2
 
 
-def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success() -> None:
+def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success():
     environment = made("throw", reward="dense")
     action = holding(environment)
     environment.reset(0)
@@ -126,7 +126,7 @@ def test_a_cube_that_is_dropped_lands_and_ends_the_episode_without_success() -> 
     assert 0 < step.reward < 1
 
 
-def test_a_cube_that_is_carried_to_the_floor_has_not_landed() -> None:
+def test_a_cube_that_is_carried_to_the_floor_has_not_landed():
     environment = made("throw")
     task = task_of(environment)
     environment.reset(0)
@@ -146,7 +146,7 @@ def test_a_cube_that_is_carried_to_the_floor_has_not_landed() -> None:
 
 
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_hand_that_touches_the_floor_before_the_landing_has_failed(engine: str) -> None:
+def test_a_hand_that_touches_the_floor_before_the_landing_has_failed(engine):
     environment = made("throw", environment={"engine": engine})
     task, robot = task_of(environment), environment.robot
     environment.reset(0)
@@ -161,7 +161,7 @@ def test_a_hand_that_touches_the_floor_before_the_landing_has_failed(engine: str
     assert task.cube.position[2] > 0.1
 
 
-def test_success_is_a_landing_after_a_release_and_its_distance_alone() -> None:
+def test_success_is_a_landing_after_a_release_and_its_distance_alone():
     rule = made("throw", threshold=0.1).signature.goal_rule
     assert rule is not None
     desired = np.zeros((5, 2), np.float32)
@@ -172,7 +172,7 @@ def test_success_is_a_landing_after_a_release_and_its_distance_alone() -> None:
     np.testing.assert_allclose(rule.distance(achieved, desired), [np.inf, np.inf, 0, 0.09, 0.11], rtol=1e-6)
 
 
-def test_a_dense_reward_is_higher_the_nearer_the_landing() -> None:
+def test_a_dense_reward_is_higher_the_nearer_the_landing():
     rule = made("throw", reward="dense").signature.goal_rule
     assert rule is not None
     far = np.array([[x, 0, 1] for x in (0, 0.1, 0.5, 2)], np.float32)
@@ -182,7 +182,7 @@ def test_a_dense_reward_is_higher_the_nearer_the_landing() -> None:
     assert rewards[-1] >= 0
 
 
-def test_gravity_moves_the_landing_as_it_should() -> None:
+def test_gravity_moves_the_landing_as_it_should():
     """Half the gravity: a dropped cube takes sqrt(2) as long, and the landing is still found."""
 
     def steps(gravity: float) -> int:
@@ -202,13 +202,13 @@ def test_gravity_moves_the_landing_as_it_should() -> None:
 @pytest.mark.parametrize(
     ("arm", "said"), [({"control": "cartesian"}, r"robot\.control.*joint"), ({"joint_step": 0.02}, "joint_step")]
 )
-def test_what_cannot_throw_out_of_reach_is_refused_with_what_to_do(arm: dict[str, object], said: str) -> None:
+def test_what_cannot_throw_out_of_reach_is_refused_with_what_to_do(arm, said):
     with pytest.raises(UsageError, match=said):
         made("throw", arm=arm)
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_no_constant_throw_hits_often(robot: str) -> None:
+def test_no_constant_throw_hits_often(robot):
     environment = made("throw", robot)
     targets = np.stack([environment.reset(seed).desired_goal for seed in range(300)])
     threshold = task_of(environment).settings.threshold
@@ -220,7 +220,7 @@ def test_no_constant_throw_hits_often(robot: str) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-def test_the_observation_says_where_and_when_a_flying_cube_lands(robot: str) -> None:
+def test_the_observation_says_where_and_when_a_flying_cube_lands(robot):
     environment = made("throw", robot)
     steps = expert_episode(environment, 3)
     field = environment.signature.observation.slice
@@ -234,7 +234,7 @@ def test_the_observation_says_where_and_when_a_flying_cube_lands(robot: str) -> 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("engine", ENGINES)
-def test_an_episode_may_end_at_the_release_with_the_landing_that_follows(robot: str, engine: str) -> None:
+def test_an_episode_may_end_at_the_release_with_the_landing_that_follows(robot, engine):
     whole, short = (made("throw", robot, environment={"engine": engine}, end_at_release=at) for at in (0.0, 1.0))
     for seed in range(2):
         landed, released = expert_episode(whole, seed), expert_episode(short, seed)
@@ -248,7 +248,7 @@ def test_an_episode_may_end_at_the_release_with_the_landing_that_follows(robot: 
 
 @pytest.mark.parametrize("robot", ROBOTS)
 @pytest.mark.parametrize("metres", [0.0, 0.05, 0.25])
-def test_throws_start_as_far_from_home_as_the_setting_or_the_parameter_says(robot: str, metres: float) -> None:
+def test_throws_start_as_far_from_home_as_the_setting_or_the_parameter_says(robot, metres):
     fixed = made("throw", robot, start_range=metres)
     drawn = made("throw", robot, draws={"task.start_range": values(metres)})
     starts = [[fixed.reset(seed) and fixed.robot.tool_position for seed in range(24)]]
@@ -263,7 +263,7 @@ def test_throws_start_as_far_from_home_as_the_setting_or_the_parameter_says(robo
 
 @pytest.mark.parametrize("height", [0.0, 0.3])
 @pytest.mark.parametrize("rise", [-1.0, 0.0, 2.0])
-def test_flight_time_solves_the_equation_of_free_fall(height: float, rise: float) -> None:
+def test_flight_time_solves_the_equation_of_free_fall(height, rise):
     seconds = flight_time(height, rise, -9.81)
     assert seconds >= 0
     if height:

@@ -43,7 +43,7 @@ random.Random(SEED).shuffle(CASES)
 
 
 @pytest.mark.parametrize(("method", "kind", "processes"), CASES[: TIMES - 1])
-def test_commands_end_in_time_and_say_why(tmp_path: Path, method: str, kind: str, processes: int) -> None:
+def test_commands_end_in_time_and_say_why(tmp_path, method, kind, processes):
     """Of a long test. Exit code 0 goes with a finished run only."""
     (tmp_path / "spec.yaml").write_text(json.dumps(spec(f"{method}:{kind}", processes)))
     checked, said = call(tmp_path, "check", "spec.yaml", limited=kind == "leak")
@@ -68,21 +68,19 @@ def test_commands_end_in_time_and_say_why(tmp_path: Path, method: str, kind: str
         ("tail step:nan", r"training.diverging: \d+ of \d+ training episodes diverged until \d+ steps"),
     ],
 )
-def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path: Path, trouble: str, said: str) -> None:
+def test_trouble_in_an_episode_fails_the_run_in_one_line(tmp_path, trouble, said):
     outcome = Experiment(spec(trouble)).run(tmp_path, check=False)
     assert (outcome.runs[0].state, outcome.exit_code) == ("failed", 1)
     assert re.search(said, str(outcome.runs[0].error))
 
 
 @pytest.mark.parametrize("trouble", ["close:raise", "close:exit", "close:quirky", "close:interrupt"])
-def test_an_environment_that_cannot_be_closed_costs_a_line(
-    tmp_path: Path, trouble: str, capfd: pytest.CaptureFixture[str]
-) -> None:
+def test_an_environment_that_cannot_be_closed_costs_a_line(tmp_path, trouble, capfd):
     assert Experiment(spec(trouble)).run(tmp_path).runs[0].state == "finished"
     assert "warning: Gymnasium.close failed" in capfd.readouterr().err
 
 
-def test_what_cannot_be_built_or_begun_is_refused_before_there_is_a_run(tmp_path: Path) -> None:
+def test_what_cannot_be_built_or_begun_is_refused_before_there_is_a_run(tmp_path):
     for trouble, error in (
         ("init:exit", PluginError),
         ("init:raise", UsageError),

@@ -43,7 +43,7 @@ def flip(archive: Path, place: Path, count: int, seed: int) -> Counter[str]:
     return counts
 
 
-def test_a_flipped_bit_of_an_archive_loses_and_changes_nothing_in_silence(tmp_path: Path) -> None:
+def test_a_flipped_bit_of_an_archive_loses_and_changes_nothing_in_silence(tmp_path):
     archive = tmp_path / "x.tar.gz"
     export_runs([run_of(toy(buffer={"capacity": 60}, orchestrator={"environments": 1}), tmp_path / "runs")], archive)
     counts = flip(archive, tmp_path / "place", 40 * TIMES, SEED)

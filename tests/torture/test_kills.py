@@ -17,7 +17,6 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-import pytest
 from support.states import run_differences
 from support.torture import SEED, TIMES, karolos
 from support.toy_runs import run_of, toy
@@ -123,7 +122,7 @@ def run_killed(home: Path, spec: Path, kills: int, draw: random.Random, hit: Cou
             break
 
 
-def test_a_run_killed_at_random_moments_ends_like_one_that_nobody_disturbed(tmp_path: Path) -> None:
+def test_a_run_killed_at_random_moments_ends_like_one_that_nobody_disturbed(tmp_path):
     """Nothing is lost, neither a test nor a bit; and no process outlives the killed one for long."""
     (spec := tmp_path / "torture.yaml").write_text(json.dumps(TORTURED))
     reference, draw, hit, runs = run_of(TORTURED, tmp_path / "whole"), random.Random(SEED), Counter[str](), 0
@@ -144,12 +143,6 @@ LEARNS: dict[str, Any] = {
     "testing": {"interval": 1000, "episodes": 20},
 }
 """Undisturbed it reaches 1.0 within 1500 steps."""
-
-
-@pytest.fixture
-def heard_always(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A run is heard of after each round, however fast it is."""
-    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
 
 
 class Killer:
@@ -177,20 +170,8 @@ class Killer:
         self.killed += 1
 
 
-@pytest.mark.usefixtures("heard_always")
-def test_a_run_in_lockstep_whose_workers_are_killed_ends_bit_for_bit_like_an_undisturbed_one(tmp_path: Path) -> None:
-    spec = LEARNS | {"training": LEARNS["training"] | {"steps": 800}, "testing": {"interval": 400, "episodes": 4}}
-    killer = Killer(interval=150)
-    (disturbed,) = Experiment(spec).run(tmp_path / "killed", listener=killer).runs
-    (undisturbed,) = Experiment(spec).run(tmp_path / "whole").runs
-    assert killer.killed >= 3
-    assert killer.warnings
-    folder, reference = RunFolder.open(disturbed.folder), RunFolder.open(undisturbed.folder)
-    assert run_differences(folder, reference, Store.default_url(tmp_path / "killed")) == []
-
-
-@pytest.mark.usefixtures("heard_always")
-def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(tmp_path: Path) -> None:
+def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(tmp_path, monkeypatch):
+    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)  # it is heard of after each round, however fast it is
     killer = Killer(interval=350)
     before = shared_memory()
     spec = LEARNS | {"training": LEARNS["training"] | {"mode": "async"}}
@@ -206,7 +187,7 @@ def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbe
     assert shared_memory() <= before
 
 
-def test_the_comparison_sees_that_runs_of_two_seeds_differ(tmp_path: Path) -> None:
+def test_the_comparison_sees_that_runs_of_two_seeds_differ(tmp_path):
     one, other = (run_of(toy(seeds=[seed]), tmp_path) for seed in (0, 1))
     found = run_differences(one, other, Store.default_url(tmp_path))
     assert any(path.startswith("last.agent.critic") for path in found)

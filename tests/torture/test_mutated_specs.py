@@ -304,7 +304,7 @@ def write_mutant(number: int, seed: int, folder: Path) -> tuple[Path, list[str]]
     return path, overrides
 
 
-def test_no_mutated_spec_gives_a_traceback(tmp_path: Path) -> None:
+def test_no_mutated_spec_gives_a_traceback(tmp_path):
     counts, wrong, accepted = check_mutants(range(20 * TIMES), 6 + SEED, tmp_path)
     assert not wrong, (counts, *wrong)
     for number in accepted[99::100]:

@@ -270,7 +270,7 @@ def judged(numbers: range, seed: int, folder: Path) -> Iterator[tuple[int, dict[
         process.kill()
 
 
-def test_mutated_urdfs_work_or_are_refused_in_one_line(tmp_path: Path) -> None:
+def test_mutated_urdfs_work_or_are_refused_in_one_line(tmp_path):
     numbers = range(1, 1 + 7 * TIMES)
     found = dict(judged(numbers, SEED, tmp_path))
     assert list(found) == list(numbers)

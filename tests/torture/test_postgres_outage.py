@@ -58,7 +58,7 @@ def home() -> Iterator[Path]:
 
 
 @pytest.mark.skipif(TIMES == 1, reason="a long test")
-def test_runs_outlive_their_database_which_agrees_with_the_folders_afterwards(home: Path) -> None:
+def test_runs_outlive_their_database_which_agrees_with_the_folders_afterwards(home):
     spec, folder, server = home / "outage.yaml", home / "runs", home / "postgres"
     spec.write_text(json.dumps(toy(training={"steps": 2000}, testing={"interval": 100, "episodes": 4})))
     where = ("--runs", str(folder), "--database", start(server))

@@ -68,7 +68,7 @@ def ancestors(pid: int) -> list[int]:
     return found
 
 
-def test_runs_of_machines_of_which_some_are_killed_equal_runs_of_this_machine(tmp_path: Path) -> None:
+def test_runs_of_machines_of_which_some_are_killed_equal_runs_of_this_machine(tmp_path):
     """A machine other than the head is killed as soon as it executes a run that has tested; another takes its place."""
     spec, folder, same = write_spec(tmp_path, runs=RUNS, steps=STEPS), tmp_path / "ray", tmp_path / "undisturbed"
     undisturbed = karolos("run", str(spec), "--runs", str(same), "--jobs", "2", "--quiet")
@@ -104,9 +104,7 @@ def runs_in(folder: Path) -> list[RunFolder]:
     return [RunFolder.open(path.parent) for path in folder.glob("*/run.json")]
 
 
-def test_runs_of_a_cluster_that_loses_its_head_stop_with_a_checkpoint_and_leave_no_process(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_of_a_cluster_that_loses_its_head_stop_with_a_checkpoint_and_leave_no_process(tmp_path, monkeypatch):
     spec, runs = write_spec(tmp_path, runs=2, steps=1_000_000, processes=1), tmp_path / "runs"
     cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 0, "include_dashboard": False})
     try:

@@ -1,7 +1,5 @@
 """Trackers: what their own libraries read back, a second time, a tracker that fails, and what they must not see."""
 
-from __future__ import annotations
-
 import struct
 import time
 from collections.abc import Iterator
@@ -32,11 +30,11 @@ def trained(runs: Path, **more: Any) -> RunFolder:
     return RunFolder.open(Experiment({**TOY, **more}).run(runs).runs[0].folder)
 
 
-def test_a_tracker_is_no_part_of_what_a_run_is() -> None:
+def test_a_tracker_is_no_part_of_what_a_run_is():
     assert spec_from_dict({**TOY, "tracking": "mlflow"}).hash() == spec_from_dict(TOY).hash()
 
 
-def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_nothing(tmp_path: Path) -> None:
+def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_nothing(tmp_path):
     tracking_of = pytest.importorskip("mlflow.tracking")
     folder = trained(tmp_path, tracking="mlflow")
     client = tracking_of.MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
@@ -52,7 +50,7 @@ def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_noth
         assert (code, printed.strip()) == (0, folder.id)
 
 
-def test_trackio_holds_every_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_trackio_holds_every_test(tmp_path, monkeypatch):
     storage = pytest.importorskip("trackio.sqlite_storage")
     monkeypatch.setattr(storage, "TRACKIO_DIR", tmp_path / "trackio")
     folder = trained(tmp_path / "runs")
@@ -78,7 +76,7 @@ def wandb_records(data: bytes) -> Iterator[bytes]:
             record = b""
 
 
-def test_wandb_keeps_an_offline_run_of_every_test(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_wandb_keeps_an_offline_run_of_every_test(tmp_path, monkeypatch):
     pytest.importorskip("wandb")
     from wandb.proto.wandb_internal_pb2 import Record
 
@@ -96,7 +94,7 @@ def test_wandb_keeps_an_offline_run_of_every_test(tmp_path: Path, monkeypatch: p
     assert "agent.hidden" in {one.key for one in run.config.update}
 
 
-def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path, monkeypatch):
     def fail(*_: Any) -> None:
         raise ConnectionError("no route to the tracker")
 
@@ -112,7 +110,7 @@ def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path: Path, monk
     assert (code, "choose mlflow, wandb, trackio" in said) == (2, True)
 
 
-def test_secrets_and_code_do_not_reach_a_tracker(tmp_path: Path) -> None:
+def test_secrets_and_code_do_not_reach_a_tracker(tmp_path):
     folder = trained(tmp_path)
     told = tracking.Tracked.of(folder)
     assert (told.group, told.settings["agent.name"]) == ("toy", "sac")

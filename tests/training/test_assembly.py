@@ -1,27 +1,20 @@
-"""Parts that do not go together are refused before anything runs, at file:line:column; and layouts change no result."""
+"""Parts that do not go together are refused before anything runs, at file:line:column."""
 
 import re
-from functools import cache
-from itertools import islice
-from pathlib import Path
 from typing import Any
 
 import pytest
 from support.faulty_environments import FAULTS
 from support.spec_files import REFUSED, problems_of, write
-from support.states import assert_same_state
 
-from karolos.core.seeding import SeedTree
 from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.experiment.check import check_parts
 from karolos.specification import load_spec, spec_from_dict
 from karolos.system import memory
-from karolos.training.assembly import make_agent, make_buffer, make_orchestrator
-from karolos.training.training import Training
 
 
 @pytest.mark.parametrize("case", REFUSED["parts"])
-def test_parts_that_do_not_fit_are_refused_with_the_place_and_the_reason(case: str, tmp_path: Path) -> None:
+def test_parts_that_do_not_fit_are_refused_with_the_place_and_the_reason(case, tmp_path):
     expected = REFUSED["parts"][case]
     layout = "orchestrator: {processes: 0, environments: 4}"
     path = write(tmp_path, "s.yaml", f"environment: toy\n{expected['spec'].rstrip()}\n{layout}\n")
@@ -48,21 +41,21 @@ UNUSED: dict[str, tuple[dict[str, Any], str]] = {
 
 
 @pytest.mark.parametrize("case", UNUSED)
-def test_a_setting_that_an_agent_cannot_use_is_refused(case: str) -> None:
+def test_a_setting_that_an_agent_cannot_use_is_refused(case):
     spec, expected = UNUSED[case]
     with pytest.raises(UsageError, match=rf"^dict: {expected}[^\n]*$"):
         check_parts(spec_from_dict(spec))
 
 
 @pytest.mark.parametrize("agent", ["sac", "ppo"])
-def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent: str) -> None:
+def test_a_resolved_spec_with_its_defaults_spelt_out_is_not_refused(agent):
     buffer = "on_policy" if agent == "ppo" else "uniform"
     spec = spec_from_dict({"environment": "toy", "agent": agent, "buffer": buffer})
     check_parts(spec_from_dict(spec.dump()))
 
 
 @pytest.mark.parametrize("override", REFUSED["amounts"])
-def test_an_amount_that_no_machine_has_is_refused_at_its_setting(override: str, tmp_path: Path) -> None:
+def test_an_amount_that_no_machine_has_is_refused_at_its_setting(override, tmp_path):
     (problem,) = problems_of(write(tmp_path, "s.yaml", "environment: toy\nagent: sac\n"), override)
     assert problem.startswith("override ")
     assert REFUSED["amounts"][override] in problem
@@ -94,9 +87,7 @@ NEEDS_MEMORY = {
 
 
 @pytest.mark.parametrize("case", NEEDS_MEMORY)
-def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
-    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(case, tmp_path, monkeypatch):
     text, expected = NEEDS_MEMORY[case]
     monkeypatch.setattr("karolos.experiment.check.memory", lambda: 10_000_000_000)
     agent = "{name: sac, hidden: [30000, 30000]}" if case == "networks" else "sac"
@@ -107,7 +98,7 @@ def test_what_does_not_fit_into_memory_is_refused_with_what_it_needs(
         check_parts(load_spec(path))
 
 
-def test_runs_at_the_same_time_share_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_runs_at_the_same_time_share_the_memory(monkeypatch):
     monkeypatch.setattr("karolos.experiment.check.memory", lambda: 10_000_000_000)
     spec = spec_from_dict({"environment": "toy", "agent": "sac", "buffer": {"capacity": 1e8}})
     check_parts(spec)
@@ -115,11 +106,11 @@ def test_runs_at_the_same_time_share_the_memory(monkeypatch: pytest.MonkeyPatch)
         check_parts(spec, jobs=2)
 
 
-def test_the_machine_says_how_much_memory_it_has() -> None:
+def test_the_machine_says_how_much_memory_it_has():
     assert 1e8 < memory() < 1e14
 
 
-def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch, tmp_path):
     def refuse(*_: object) -> None:
         raise ZeroDivisionError("no mass\nand a second line")
 
@@ -133,7 +124,7 @@ def test_an_error_of_a_plugins_constructor_is_one_line(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_foreign_environment_that_fails_in_its_first_steps_is_told_at_its_place(fault: str, tmp_path: Path) -> None:
+def test_a_foreign_environment_that_fails_in_its_first_steps_is_told_at_its_place(fault, tmp_path):
     name = "{name: gymnasium, id: support.faulty_environments:Faulty-v0, kwargs: {fault: " + fault + "}}"
     workers = int(fault.startswith("_exit"))  # without a worker nothing outlives it
     text = f"environment: {name}\nagent: sac\norchestrator: {{processes: {workers}}}\n"
@@ -145,9 +136,7 @@ def test_a_foreign_environment_that_fails_in_its_first_steps_is_told_at_its_plac
 
 
 @pytest.mark.parametrize("method", ["reset", "act"])
-def test_what_a_robot_cannot_do_in_its_first_steps_is_told_at_the_task(
-    method: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_what_a_robot_cannot_do_in_its_first_steps_is_told_at_the_task(method, monkeypatch, tmp_path):
     def refuse(*_: object) -> None:
         raise PluginError("the tool cannot reach (0, 0, 0) m", where="Panda", hint="its workspace is higher")
 
@@ -158,60 +147,14 @@ def test_what_a_robot_cannot_do_in_its_first_steps_is_told_at_the_task(
         check_parts(load_spec(path))
 
 
-LEARNERS: dict[str, dict[str, Any]] = {
-    "sac": {
-        "agent": {"name": "sac", "hidden": [16], "precision": "float32"},
-        "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {"strategy": "future"}},
-        "training": {"batch_size": 16, "replay_ratio": 8, "warmup_episodes": 4},
-    },
-    "ppo": {
-        "agent": {"name": "ppo", "hidden": [16], "epochs": 2, "minibatches": 2},
-        "buffer": {"name": "on_policy", "rollout": 8},
-    },
-}
-
-
-@cache
-def trained(learner: str, processes: int, *, saved_after: int = 0, rounds: int = 60) -> dict[str, Any]:
-    """All states after some rounds of four environments; those after `saved_after` go to new parts meanwhile."""
-    layout = {"processes": processes, "environments": 4 // max(processes, 1)}
-    spec = spec_from_dict({"environment": "toy", "orchestrator": layout, **LEARNERS[learner]})
-    seeds, states = SeedTree(3), {}
-    for count in (saved_after, rounds - saved_after) if saved_after else (rounds,):
-        with make_orchestrator(spec, randomize=True) as orchestrator:
-            agent = make_agent(spec, orchestrator.signature, seeds)
-            buffer = make_buffer(spec, orchestrator.signature, seeds, environments=4, discount=agent.discount)
-            training = Training(orchestrator, agent, buffer, spec.training, seeds)
-            parts = {"agent": agent, "buffer": buffer, "training": training}
-            for name, state in states.items():
-                parts[name].load_state(state)
-            last = list(islice(training.rounds(), count))[-1]
-            states = {name: part.state() for name, part in parts.items()}
-    assert last.updates > 20
-    return states
-
-
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_what_is_learned_does_not_depend_on_the_number_of_processes(learner: str) -> None:
-    alone = trained(learner, 0)
-    for processes in (1, 2):
-        assert_same_state(alone, trained(learner, processes))
-
-
-@pytest.mark.parametrize("saved_after", [1, 37])
-@pytest.mark.parametrize("learner", LEARNERS)
-def test_new_parts_go_on_bit_for_bit_from_saved_states(learner: str, saved_after: int) -> None:
-    assert_same_state(trained(learner, 0), trained(learner, 0, saved_after=saved_after))
-
-
-def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions() -> None:
+def test_only_an_agent_with_an_imitation_term_imitates_relabelled_transitions():
     parts = {"environment": "toy", "buffer": {"name": "uniform", "hindsight": {"imitate": True}}}
     check_parts(spec_from_dict({**parts, "agent": {"name": "sac", "imitation": 1.0}}))
     with pytest.raises(KarolosError, match="no imitation term, so it cannot imitate relabelled"):
         check_parts(spec_from_dict({**parts, "agent": {"name": "sac"}}))
 
 
-def test_a_sweep_for_success_where_none_is_defined_is_noted() -> None:
+def test_a_sweep_for_success_where_none_is_defined_is_noted():
     spec = {"name": "sweep", "environment": {"name": "gymnasium", "id": "Pendulum-v1"}, "agent": "sac"}
     sweep = {"space": {"agent.learning_rate": {"float": [1e-4, 1e-3]}}, "trials": 1}
     note = check_parts(spec_from_dict(spec | {"sweep": sweep}))

@@ -1,7 +1,5 @@
 """`karolos ui`: what its pages show and whom it refuses. In a browser it is walked through by test_ui_in_browser."""
 
-from __future__ import annotations
-
 import asyncio
 import re
 import socket
@@ -39,7 +37,7 @@ def client(runs: Path, listening: str = "127.0.0.1", token: str | None = None, *
     return TestClient(guarded(application, listening, 6789, token), base_url=HOST, headers=headers)
 
 
-def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path: Path) -> None:
+def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path):
     page = client(tmp_path)
     assert "karolos run panda_reach" in page.get("/").text  # what to do next
     for seed in (0, 1):
@@ -64,7 +62,7 @@ def test_list_shows_experiments_and_takes_the_filters_of_runs_list(tmp_path: Pat
     assert by_name.index(">reach<") < by_name.index(">slide<")
 
 
-def test_a_page_that_has_seen_everything_gets_nothing(tmp_path: Path) -> None:
+def test_a_page_that_has_seen_everything_gets_nothing(tmp_path):
     add_run(tmp_path, 0)
     page = client(tmp_path)
     live = page.get("/").text.partition('data-live hx-get="')[2].partition('"')[0].replace("&amp;", "&")
@@ -73,7 +71,7 @@ def test_a_page_that_has_seen_everything_gets_nothing(tmp_path: Path) -> None:
     assert page.get(live).text.count("seed-link") == 2
 
 
-def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path: Path) -> None:
+def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path):
     run, other = add_run(tmp_path, 0), add_run(tmp_path, 1)
     page = client(tmp_path)
     text = page.get(f"/runs/{run}").text
@@ -92,7 +90,7 @@ def test_run_page_shows_its_tests_and_settings_and_changes_its_labels(tmp_path: 
     assert page.get("/runs/other").status_code == 404
 
 
-def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
+def test_comparison_is_that_of_the_command(tmp_path):
     add_run(tmp_path, 0)
     add_run(tmp_path, 0, rate=0.1, name="slide")
     page = client(tmp_path)
@@ -105,7 +103,7 @@ def test_comparison_is_that_of_the_command(tmp_path: Path) -> None:
     assert page.get("/compare").status_code == 400
 
 
-def test_names_notes_and_errors_are_text(tmp_path: Path) -> None:
+def test_names_notes_and_errors_are_text(tmp_path):
     store = Store(Store.default_url(tmp_path))
     bare(store, "evil-s0", name=EVIL, error=EVIL, note=EVIL, tags=(EVIL,), task=EVIL, state="failed")
     page = client(tmp_path)
@@ -117,7 +115,7 @@ def test_names_notes_and_errors_are_text(tmp_path: Path) -> None:
         assert "<img" not in text
 
 
-def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
+def test_damaged_folders_are_shown_as_such(tmp_path):
     run, other = add_run(tmp_path, 0), add_run(tmp_path, 1)
     (tmp_path / run / "run.json").write_text("{")
     (tmp_path / other / "tests.jsonl").write_text("nonsense\n")
@@ -127,7 +125,7 @@ def test_damaged_folders_are_shown_as_such(tmp_path: Path) -> None:
     assert "run.json is damaged" in page.get("/folders?check=1").text
 
 
-def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> None:
+def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path):
     page = client(tmp_path)
     for kind in ("sweep", "suite", "transfer"):
         assert f"<pre>karolos {kind}" in page.get(f"/{kind}s").text  # what to do next
@@ -162,7 +160,7 @@ def test_sweeps_suites_and_transfers_lead_to_what_they_wrote(tmp_path: Path) -> 
         assert page.get(f"/runs/suites/{hidden}").status_code == 404
 
 
-def test_an_unknown_address_is_a_page_with_a_way_back(tmp_path: Path) -> None:
+def test_an_unknown_address_is_a_page_with_a_way_back(tmp_path):
     page = client(tmp_path)
     for address, status in (("/nowhere", 404), ("/static/x.js", 404), ("/runs/a/b/<b>", 404), ("/runs/a/labels", 405)):
         answer = page.get(address)
@@ -182,11 +180,11 @@ def test_an_unknown_address_is_a_page_with_a_way_back(tmp_path: Path) -> None:
         ("lab.example", "lab.example:6789", 200),
     ],
 )
-def test_a_request_names_this_machine(tmp_path: Path, host: str, named: str, status: int) -> None:
+def test_a_request_names_this_machine(tmp_path, host, named, status):
     assert client(tmp_path, host, host=named).get("/").status_code == status
 
 
-def test_token_is_asked_for_once(tmp_path: Path) -> None:
+def test_token_is_asked_for_once(tmp_path):
     page = client(tmp_path, token="secret")
     for address in ("/", "/?token=secre", "/static/ui.js"):
         assert page.get(address).status_code == 403
@@ -200,8 +198,8 @@ def test_token_is_asked_for_once(tmp_path: Path) -> None:
     ("host", "token", "told"), [("127.0.0.1", "", ""), ("127.0.0.1", "a+b&c", r"a\+b&c"), ("0.0.0.0", "", ".{32}")]
 )
 def test_the_address_has_the_token_and_beyond_this_machine_there_is_always_one(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, host: str, token: str, told: str
-) -> None:
+    tmp_path, monkeypatch, host, token, told
+):
     monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: None)  # as if Ctrl-C came at once
     addresses: list[str] = []
     with Store(Store.default_url(tmp_path)) as store:
@@ -211,14 +209,14 @@ def test_the_address_has_the_token_and_beyond_this_machine_there_is_always_one(
 
 
 @pytest.mark.parametrize("origin", ["", "null", "http://evil.example", "http://127.0.0.1:1"])
-def test_forms_of_other_pages_are_refused(tmp_path: Path, origin: str) -> None:
+def test_forms_of_other_pages_are_refused(tmp_path, origin):
     run = add_run(tmp_path, 0)
     answer = client(tmp_path, origin=origin).post(f"/runs/{run}/labels", data={"add": "bad"})
     assert answer.status_code == 403
     assert labels.read(tmp_path / run).tags == ()
 
 
-def test_a_film_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_film_that_cannot_be_made_says_why(tmp_path, monkeypatch):
     run = add_run(tmp_path, 0)
     monkeypatch.setattr("sys.executable", "/bin/false")
     page = client(tmp_path)
@@ -230,7 +228,7 @@ def test_a_film_that_cannot_be_made_says_why(tmp_path: Path, monkeypatch: pytest
     assert (part.status_code, part.content) == (206, b"fi")
 
 
-def test_port_that_is_taken_is_named(tmp_path: Path) -> None:
+def test_port_that_is_taken_is_named(tmp_path):
     with socket.socket() as taken, Store(Store.default_url(tmp_path)) as store:
         taken.bind(("127.0.0.1", 0))
         taken.listen()
@@ -242,14 +240,14 @@ def test_port_that_is_taken_is_named(tmp_path: Path) -> None:
     assert err.startswith(f"127.0.0.1:{port}: cannot listen")
 
 
-def test_what_is_shown_is_told_with_the_address(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_what_is_shown_is_told_with_the_address(tmp_path, monkeypatch):
     monkeypatch.setattr("uvicorn.Server.run", lambda *_, **__: None)  # as if Ctrl-C came at once
     code, out, err = call(app, "--runs", str(tmp_path), "--port", "0")
     assert (code, err) == (0, f"shows {tmp_path}; Ctrl-C ends it\n")
     assert re.fullmatch(r"http://127\.0\.0\.1:[1-9]\d*/\n", out)
 
 
-def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
+def test_others_draw_while_a_long_comparison_is_drawn(tmp_path):
     application = Application(tmp_path, Store(Store.default_url(tmp_path)))
     other = []
 
@@ -263,7 +261,7 @@ def test_others_draw_while_a_long_comparison_is_drawn(tmp_path: Path) -> None:
     assert other == ["drawn"]
 
 
-def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path: Path) -> None:
+def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_path):
     add_run(tmp_path, 0)
     add_run(tmp_path, 1, name="reach-mine", successes=(0,), state="stopped")
     store = Store(Store.default_url(tmp_path))
@@ -272,7 +270,7 @@ def test_list_averages_finished_runs_alone_and_names_all_that_people_named(tmp_p
     assert (row.value, "1 of 2 seeds not finished, left out" in row.interval) == ("0.950", True)
 
 
-def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path: Path) -> None:
+def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path):
     run, sent = add_run(tmp_path, 0), []
 
     async def receive() -> dict[str, str]:
@@ -286,7 +284,7 @@ def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path: Path) 
     assert sent[0]["status"] == 400
 
 
-def test_a_film_waits_for_a_policy(tmp_path: Path) -> None:
+def test_a_film_waits_for_a_policy(tmp_path):
     run = add_run(tmp_path, 0)
     page = client(tmp_path)
     assert "There is no policy that could be filmed" in page.get(f"/runs/{run}").text

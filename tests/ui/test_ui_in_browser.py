@@ -1,14 +1,11 @@
 """A walk through `karolos ui` in headless Chromium, over a thousand runs: a page beside it types, clicks and looks."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
 import subprocess
 import threading
 from dataclasses import replace
-from pathlib import Path
 from queue import Queue
 from typing import Any
 
@@ -120,7 +117,7 @@ def take_pictures(url: str, store: Store) -> None:
 
 
 @pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
-def test_walk_through_the_pages_in_a_browser(tmp_path: Path) -> None:
+def test_walk_through_the_pages_in_a_browser(tmp_path):
     store, answers = Store(Store.default_url(tmp_path)), Queue[dict[str, Any]]()
     thousand_runs(store)
     bare(
