@@ -56,6 +56,7 @@ def dataset(
     Episodes are played in the processes and environments of the spec's orchestrator. The same command continues an
     interrupted recording. An episode's seeds and noise depend only on its number.
     """
+    from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note
     from karolos.evaluation.policies import load_agent
     from karolos.files import write_whole
@@ -106,7 +107,7 @@ def dataset(
         recorder = Recorder(
             environments,
             act or expert_act(environments.signature),
-            seed,
+            SeedTree(seed).child("dataset"),
             recording,
             episodes,
             only_success=only is not None,

@@ -83,7 +83,7 @@ class Recorder:
     environments nor an interruption changes it.
 
     Args:
-        seed: root of the seeds of episodes and noise.
+        seeds: root of the seeds of episodes and noise.
         folder: begun; episodes that it holds are not played again.
         only_success: keep only episodes whose goal is reached at the last step.
         noise: standard deviation of Gaussian noise on continuous actions.
@@ -94,7 +94,7 @@ class Recorder:
 
     environments: Orchestrator
     act: Act
-    seed: int
+    seeds: SeedTree
     folder: RecordingFolder
     episodes: int
     only_success: bool = False
@@ -105,9 +105,6 @@ class Recorder:
     _steps: dict[int, list[Step]] = field(default_factory=dict, init=False)
     """Steps of the running episode of each environment, beginning with its reset."""
     _actions: dict[int, list[FloatArray]] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        self._seeds = SeedTree(self.seed).child("dataset")
 
     def run(self) -> list[Played]:
         """Play until enough episodes are kept. Returns all played episodes, in order.
@@ -140,7 +137,7 @@ class Recorder:
         return played
 
     def _begin(self, environment: int, episode: int) -> None:
-        seed = self._seeds.child("episode", episode).integer()
+        seed = self.seeds.child("episode", episode).integer()
         self.environments.reset([environment], [seed])
         self._steps[environment], self._actions[environment] = [], []
 
@@ -156,7 +153,7 @@ class Recorder:
             if step.terminated or step.truncated:
                 over.append(environment)
                 continue
-            node = self._seeds.child("noise", episode[environment], len(self._actions[environment]))
+            node = self.seeds.child("noise", episode[environment], len(self._actions[environment]))
             action = self._varied(np.asarray(self.act(step), np.float32), node)
             self._actions[environment].append(action)
             ready.append(environment)
@@ -179,7 +176,7 @@ class Recorder:
         steps, actions = self._steps[environment], self._actions[environment]
         columns = Step(*(np.stack(column) for column in zip(*steps, strict=True)))
         observed = columns.observation[:, : columns.observation.shape[1] - self.hidden]
-        seed = self._seeds.child("episode", index).integer()
+        seed = self.seeds.child("episode", index).integer()
         recording = Recording(
             observed,
             columns.achieved_goal,

@@ -11,6 +11,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from karolos.core.seeding import SeedTree
 from karolos.environments.build import Facts, opened
 from karolos.orchestrator.local import Local
 from karolos.recordings.lerobot import write_lerobot
@@ -52,7 +53,7 @@ def record(path: Path, episodes: int = 3, environments: int = 2, **how: Any) -> 
     with Local(settings, partial(build_recorded, RECIPE, expert=True)) as orchestrator:
         size = orchestrator.signature.action.size
         act = lambda step: step.observation[-size:]  # noqa: E731
-        Recorder(orchestrator, act, 0, folder, episodes, hidden=size, **{"noise": 0.1, **how}).run()
+        Recorder(orchestrator, act, SeedTree(0), folder, episodes, hidden=size, **{"noise": 0.1, **how}).run()
     return folder
 
 
