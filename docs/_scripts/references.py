@@ -51,6 +51,7 @@ TARGETS = {
     "throw": (0.95, 120),
     "insert": (0.99, 120),
     "insert_demos": (0.99, 120),
+    "stack": (0.97, 150),
     "stack_demos": (0.95, 180),
     "slide_demos": (0.95, 600),
     "reorient_demos": (0.95, 900),

@@ -22,7 +22,7 @@ from karolos.specification import load_spec
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 RUN = ("sh", "python", "yaml")
-OTHER = ("text", "toml", "sql", "{eval-rst}", "{figure}", "{toctree}")
+OTHER = ("text", "toml", "sql", "{eval-rst}", "{figure}", "{toctree}", "{csv-table}")
 """Languages of blocks: `text` is output."""
 NOT_RUN = {"minutes", "hours", "server", "cluster", "pandas", "stable-baselines3", "part"}
 """The second word of a block that is not run: how long it takes, that it does not end, what it needs, `part`."""
