@@ -6,10 +6,11 @@ under the new goal; otherwise values diverge on tasks that end on success.
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field as Setting
+from pydantic import model_validator
 
 from ..core import Array, FloatArray, GoalRule, Signature, Transitions
 from ..core import Settings as BaseSettings
@@ -66,6 +67,12 @@ class Hindsight:
             description="the agent imitates relabelled transitions in the same way as demonstrations; needs "
             "agent.imitation",
         )
+
+        @model_validator(mode="after")
+        def _imitates_what_led_there(self) -> Any:
+            if self.imitate and self.others_share:
+                raise ValueError("others_share gives goals that an action did not lead to; set imitate: false with it")
+            return self
 
     def __init__(self, settings: Hindsight.Settings, signature: Signature) -> None:
         if signature.goal_rule is None:

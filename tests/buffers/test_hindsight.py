@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from support.worlds import Counting, SameStep, counting_signature, feed, goals, make_buffer, places
 
+from karolos.buffers.hindsight import Hindsight
 from karolos.buffers.uniform import Uniform
 from karolos.core import Signature
 from karolos.errors import PluginError
@@ -59,6 +60,25 @@ def test_a_share_of_the_new_goals_is_achieved_by_the_transition_itself():
     batch = filled(counting_signature(50), 50, {**ALWAYS, "strategy": "final", "next_share": 0.25}).sample(20_000)
     before_the_end = np.array([step < 49 for _, step in places(batch)])
     assert batch.reward[before_the_end].mean() == pytest.approx(0.25, abs=5 * (0.1875 / 20_000) ** 0.5)
+
+
+def test_a_share_of_the_other_transitions_gets_the_goal_of_another_one():
+    buffer = make_buffer(Uniform, counting_signature(50), 50, hindsight={"ratio": 0.0, "others_share": 0.5})
+    world = Counting(1)
+    for step in range(50):
+        given = world.step([0], over=[step == 49])
+        goal = np.full_like(given.desired_goal, (1, 20) if step == 49 else -7 - step)  # as after step 19, or never
+        buffer.add(given._replace(desired_goal=goal))
+    batch = buffer.sample(20_000)
+    steps = np.array([step for _, step in places(batch)])
+    own = batch.desired_goal[:, 0] == np.where(steps == 49, 1, -7 - steps)
+    assert own.mean() == pytest.approx(0.5 + 0.5 / 50, abs=5 * (0.25 / 20_000) ** 0.5)
+    np.testing.assert_array_equal(
+        batch.reward, np.float32([(1, step + 1) == goal for step, goal in zip(steps, goals(batch), strict=True)])
+    )
+    assert batch.reward.sum() > 0
+    with pytest.raises(ValueError, match="set imitate: false"):
+        Hindsight.Settings(others_share=0.5, imitate=True)
 
 
 @pytest.mark.parametrize("n_step", [1, 3])
