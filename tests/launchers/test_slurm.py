@@ -41,7 +41,7 @@ def process_of(task: Path) -> int | None:
     try:
         script = task.read_text().split()[0]
         for child in Path(f"/proc/{script}/task/{script}/children").read_text().split():
-            if b"karolos.launchers" in Path(f"/proc/{child}/cmdline").read_bytes():
+            if b"karolos.experiment.process" in Path(f"/proc/{child}/cmdline").read_bytes():
                 return int(child)
     except (OSError, IndexError):
         pass  # it has not begun
