@@ -258,7 +258,9 @@ def _make_engine(url: URL, path: Path | None, timeout: float) -> Engine:
     # One connection per transaction costs 0.1 ms, and a forked process cannot share one by accident.
     sqlite: dict[str, Any] = {"creator": connect, "poolclass": NullPool}
     try:
-        engine = create_engine(url, **sqlite if path else {"pool_pre_ping": True})
+        # A server that a plain locale made has no encoding: without this it answers in bytes.
+        server = {"pool_pre_ping": True, "connect_args": {"client_encoding": "utf8"}}
+        engine = create_engine(url, **sqlite if path else server)
     except (NoSuchModuleError, ModuleNotFoundError) as error:
         what, hint = f"the database driver is missing ({error})", "for PostgreSQL: pip install karolos[postgres]"
         raise StoreError(what, where=_without_secrets(url), hint=hint) from error

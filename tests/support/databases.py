@@ -25,7 +25,9 @@ def empty_database(kind: str, folder: Path) -> Iterator[str]:
     if kind == "sqlite":
         yield Store.default_url(folder)
         return
-    server = create_engine(make_url(SERVER or ""), isolation_level="AUTOCOMMIT")
+    server = create_engine(
+        make_url(SERVER or ""), isolation_level="AUTOCOMMIT", connect_args={"client_encoding": "utf8"}
+    )
     name = f"karolos_test_{uuid.uuid4().hex}"
     with server.connect() as connection:
         connection.exec_driver_sql(f"CREATE DATABASE {name}")
