@@ -82,6 +82,10 @@ class Places(PointGoal):
         return metres
 
 
+HIGHEST_HELD = 0.15
+"""Largest height in m of an object that is to be held, above where it rests."""
+
+
 def check_threshold(threshold: float, box: Box) -> None:
     """Raises UsageError when a position in the box may be near every goal in it."""
     if 2 * threshold >= box.diagonal:
@@ -103,6 +107,13 @@ def sample_apart(generator: Generator, box: Box, number: int, apart: float, what
         x, y, z = sample_position(generator, box, what, far).tolist()
         places.append((x, y, z))
     return places
+
+
+def sample_held(generator: Generator, ground: Box, base: Vector) -> FloatArray:
+    """A goal (4,) of `Places`: an object up to `HIGHEST_HELD` above the ground, in m from `base`, released or not."""
+    x, y, z = sample_position(generator, ground, "the object to hold").tolist()
+    height = z - base[2] + HIGHEST_HELD * generator.uniform()
+    return np.array((x - base[0], y - base[1], height, 0.0), np.float32)
 
 
 def sample_position(

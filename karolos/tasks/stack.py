@@ -16,7 +16,7 @@ from ..errors import UsageError
 from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 from .cube import CUBE_COLOUR, HOVER_HEIGHT, Carrier, CarryTask, CubeSettings, aligned, check_gripper, fields, ground
-from .point_goal import Places, sample_apart, sample_position
+from .point_goal import Places, sample_apart, sample_held
 from .settings import drawn_stage, start
 
 GAP = {2: 0.06, 3: 0.1}
@@ -24,8 +24,6 @@ GAP = {2: 0.06, 3: 0.1}
 with a stack of two."""
 ABOVE = 0.05
 """Largest height in m above its place of a cube that starts there in the gripper."""
-HIGHEST_HELD = 0.15
-"""Largest height in m above its place of a cube that is to be held."""
 NEAR_SCALE = 0.02
 """Scale in m of additional observations tanh(error / scale), in which a network sees millimetres."""
 
@@ -124,8 +122,7 @@ class Stack(CarryTask):
         self._free = stage != "grasped"
         self.goal = self.stacked
         if self.number == 2 and self.drawn.goal_held and generator.uniform() < self.drawn.goal_held:
-            to_x, to_y, _ = sample_position(generator, self.ground, "the cube to hold").tolist()
-            self.goal = np.array((to_x - x, to_y - y, edge + HIGHEST_HELD * generator.uniform(), 0.0), np.float32)
+            self.goal = sample_held(generator, self.ground, (x, y, z - edge))  # above its place in the pile
 
     def read(self) -> None:
         super().read()

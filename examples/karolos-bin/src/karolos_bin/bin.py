@@ -12,7 +12,7 @@ from karolos.simulation.geometry import Vector
 from karolos.simulation.interface import RobotView, World
 from karolos.simulation.shapes import Cuboid
 from karolos.tasks.cube import CarryTask, CubeSettings, aligned, check_gripper, fields, ground
-from karolos.tasks.point_goal import Places, sample_apart, sample_position
+from karolos.tasks.point_goal import Places, sample_apart, sample_held
 from karolos.tasks.settings import drawn_stage, start
 
 INSIDE, WALL, HEIGHT = 0.1, 0.005, 0.04
@@ -21,8 +21,6 @@ APART = 0.12
 """Least distance in m of the cube from the middle of the bin at the start."""
 ABOVE = (0.05, 0.12)
 """Height in m above the floor of a cube that begins in the gripper above the bin."""
-HELD = 0.15
-"""Largest height in m above the floor of a cube that is to be held."""
 GREY = (0.45, 0.5, 0.55, 1.0)
 
 
@@ -106,8 +104,7 @@ class Bin(CarryTask):
         self._free = stage != "grasped"
         self.goal = self.inside
         if generator.uniform() < self.drawn.goal_held:
-            x, y, z = sample_position(generator, self.ground, "the cube to hold").tolist()
-            self.goal = np.array((*self._offset((x, y, z + HELD * generator.uniform())), 0.0), np.float32)
+            self.goal = sample_held(generator, self.ground, self.at)
 
     def read(self) -> None:
         super().read()
