@@ -94,6 +94,9 @@ def score(
     mass: Annotated[
         float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the arm, used if its file needs repair.")
     ] = None,
+    tool: Annotated[
+        str | None, typer.Option(metavar="LINK", help="Link of the tool frame, in a file of two arms.")
+    ] = None,
     out: Annotated[
         Path | None, typer.Option(metavar="FOLDER", help="Folder for page and films. Default: ./NAME-score.")
     ] = None,
@@ -145,7 +148,7 @@ def score(
         overrides: list[str] = []
         notes: list[str] = []
         try:
-            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass)
+            overrides, notes, name = _overrides(robot, None if gripper == "own" else gripper, mass, tool)
             found = score_robot(chosen, overrides, episodes, folder, runs)
         except KarolosError as error:
             if len(robots) == 1:
@@ -168,7 +171,9 @@ def score(
         print_table(arms_table(every))
 
 
-def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
+def _overrides(
+    robot: str, gripper: str | None, mass: float | None, tool: str | None
+) -> tuple[list[str], list[str], str]:
     """The overrides that name a robot, the assumptions about its file, and its name."""
     from karolos.plans.robot_score import file_overrides
     from karolos.registry import names
@@ -176,5 +181,5 @@ def _overrides(robot: str, gripper: str | None, mass: float | None) -> tuple[lis
     gripping = [f"robot.gripper={gripper or 'null'}"]
     if robot in names("robots"):
         return [f"robot.name={robot}", *gripping], [], robot
-    given, notes, name = file_overrides(robot, gripper, mass)
+    given, notes, name = file_overrides(robot, gripper, mass, tool)
     return [*given, *gripping], notes, name

@@ -41,6 +41,8 @@ class File(NamedTuple):
     """Of the arm by its data sheet, kg; None: the file has masses."""
     held_out: bool = False
     """Nothing was tuned with this arm. Chosen by the SHA-256 of its name, before any of them was played."""
+    tool: str | None = None
+    """The link at the end of the arm, in a file of two arms."""
 
 
 ARMS = {
@@ -73,7 +75,7 @@ ARMS = {
     "xarm7_mj": File("robosuite 1.5.2", "robots/xarm7/robot.xml"),
     "kinova3_mj": File("robosuite 1.5.2", "robots/kinova3/robot.xml"),
     "jaco_mj": File("robosuite 1.5.2", "robots/jaco/robot.xml", held_out=True),
-    "openarm_mj": File("openarm-mujoco 2.3.0", "v2/openarm_bimanual.xml", held_out=True),
+    "openarm_mj": File("openarm-mujoco 2.3.0", "v2/openarm_bimanual.xml", None, True, "openarm_left_ee_base_link"),
 }
 
 
@@ -107,7 +109,7 @@ def measure(arm: str, gripper: str, episodes: int, policies: Sequence[str]) -> N
                 Repair(found, file.mass, expand=True).write(copy)
                 found = copy
             hand = None if gripper == "own" else gripper
-            overrides = [*file_overrides(str(found), hand, file.mass)[0], f"robot.gripper={hand or 'null'}"]
+            overrides = [*file_overrides(str(found), hand, file.mass, file.tool)[0], f"robot.gripper={hand or 'null'}"]
         except KarolosError as error:
             unfit = error
         for policy in policies:

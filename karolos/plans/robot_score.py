@@ -209,7 +209,9 @@ def score_robot(
             yield task.result()
 
 
-def file_overrides(file: str, gripper: str | None, mass: float | None) -> tuple[list[str], list[str], str]:
+def file_overrides(
+    file: str, gripper: str | None, mass: float | None, tool: str | None = None
+) -> tuple[list[str], list[str], str]:
     """The overrides that name the robot of a URDF, the assumptions about the file, and the robot's name.
 
     A file that cannot be used as it is gets repaired in a copy.
@@ -218,9 +220,11 @@ def file_overrides(file: str, gripper: str | None, mass: float | None) -> tuple[
         file: its path, or installed:PACKAGE/PATH.
         gripper: at its flange; None: its own hand.
         mass: of the arm in kg, used if the file needs repair.
+        tool: link at the end of the arm, in a file of two arms; None: the file says it.
     """
     path = Path((installed_file(file) if file.startswith(INSTALLED) else None) or file)
     settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
+    settings |= {"tool": tool} if tool is not None else {}
     try:
         found = proposal_of(FromFile.Settings.model_validate(settings | {"gripper": gripper}))
     except PluginError:

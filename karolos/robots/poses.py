@@ -12,7 +12,7 @@ import numpy as np
 
 from ..core import Array
 from ..core.seeding import SeedTree
-from ..simulation.geometry import Box, Orientations, Vector
+from ..simulation.geometry import Box, Orientations, Quaternion, Vector
 from ..simulation.kinematics import Chain, Pose, downward
 from ..simulation.urdf import Joint, about
 from .arm import POSTURE_GAIN
@@ -28,9 +28,16 @@ HOME_SPEED = 0.8
 """Fraction of the joints' speeds that a full action may take at home."""
 SMALLEST_WORKSPACE = 0.04
 """Least edge of a workspace in m."""
-ENOUGH, MORE, LEAST = 0.85, 1.1, 0.05
-"""Rooms: at which the search ends, by how much a later one must be better, and below which it goes to other heights and
-to the sides: policies that learned at one height are worse at half of it (UR3: picking .80, at the usual 1.00)."""
+GRID, NARROWEST = (7, 5, 5), 2
+"""Places along each edge of a workspace at which the tool is turned, and least number of their distances in a part."""
+RANDOM_POSES = 60
+"""Number of random poses that the tool takes in a part."""
+ENOUGH, MORE, BETTER, LEAST = 0.85, 1.1, 1.02, 0.05
+"""Rooms: at which the search ends, by how much a later one must be better, by how much one with the gripper turned on
+the flange, and below which it goes to other heights and to the sides: policies that learned at one height are worse at
+half of it (UR3: picking .80, at the usual 1.00)."""
+TURNLESS = 0.6
+"""What a workspace is worth in which the tool cannot be turned, relative to one in which it can."""
 CONFIGURATIONS, DIFFERENT = 3, 0.5
 """Number of different poses with the same tool that are compared, and smallest difference of a joint in rad."""
 HOME_HEIGHT, HOME_SHARE = 0.2, 0.3
@@ -68,6 +75,17 @@ class Place(NamedTuple):
     workspace: Box
     corners: tuple[tuple[float, ...], ...]
     """Joint positions (n,) in rad at home and at the corners of the workspace."""
+    dexterous: Box | None = None
+    """The part of the workspace in which the tool can be turned."""
+
+    @property
+    def worth(self) -> float:
+        """`room`, less if the tool cannot be turned in half of the workspace along each axis."""
+        turned = 0.0
+        if self.dexterous is not None:
+            edges = (np.subtract(box.high, box.low) for box in (self.dexterous, self.workspace))
+            turned = float(np.prod(np.minimum(2 * np.divide(*edges), 1.0)))
+        return self.room * (TURNLESS + (1 - TURNLESS) * turned)
 
 
 @dataclass(frozen=True)
@@ -136,11 +154,14 @@ class Poses:
         away = dict.fromkeys([min(0.5, 0.55 * self.length), *(self.length * np.array([0.55, 0.45, 0.65, 0.35]))])
         best: Place | None = None
         for direction, lift, distance in product((0.0, -pi / 2, pi / 2, pi), lifts, away):
-            if best is not None and best.room > (LEAST if direction or lift != lifts[0] else ENOUGH):
+            first = direction == 0 and lift == lifts[0]
+            if best is not None and (best.worth > ENOUGH if first else best.room > LEAST):
                 break
             for found in self._at((distance * cos(direction), distance * sin(direction), lift)):
-                if found.room > (MORE * best.room if best else 0.0):
-                    best = found
+                least = MORE * best.worth if best else 0.0
+                if found.room > least:
+                    turned = found._replace(dexterous=self._dexterous(found))
+                    best = turned if turned.worth > least else best
         return best
 
     @property
@@ -150,7 +171,8 @@ class Poses:
 
     def at(self, home: Sequence[float], workspace: Box | None = None) -> Place:
         """The place of a known home pose, with its workspace if that is known, too."""
-        return self._around(tuple(home), workspace)
+        found = self._around(tuple(home), workspace)
+        return found._replace(dexterous=self._dexterous(found))
 
     def _at(self, target: Vector) -> Iterator[Place]:
         """Places whose home has the tool at `target`, pointing down: the best poses that inverse kinematics finds.
@@ -191,28 +213,49 @@ class Poses:
         poses = (home, *(tuple(pose.tolist()) for pose in corners))
         return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box, poses)
 
-    def dexterous(self, place: Place) -> Box | None:
-        """A part of the workspace, around home, in which the tool can be turned as an `ArmModel` says by default.
+    def _dexterous(self, place: Place) -> Box | None:
+        """The largest part of the workspace in which the tool can be turned as an `ArmModel` says by default.
 
-        The first of some sizes that fits; None if it is too small.
+        Its corners are places of a grid. At each place between them the tool takes turns and tilts at the limits, and
+        it takes random poses of the part. None if all such parts are too small.
         """
-        home, rest = self.chain.forward(place.home).tool, np.array(place.home)
-        around = Orientations(home.orientation, ArmModel.tilt, ArmModel.turn)
-        turns = [
+        around = Orientations(self.chain.forward(place.home).tool.orientation, ArmModel.tilt, ArmModel.turn)
+        limits = [
             around.at(around.tilt * x, around.tilt * y, turn)
             for (x, y), turn in product(TILTS, (-around.turn, around.turn))
         ]
-        for share in (0.9, 0.75, 0.6, 0.45, 0.3):
-            low, high = (
-                np.round(home.position + share * np.subtract(end, home.position), 3)
-                for end in (place.workspace.low, place.workspace.high)
+        if not self._turns(place, [(place.tool, turn) for turn in limits]):
+            return None
+        low, high = (np.array(end) for end in (place.workspace.low, place.workspace.high))
+        shares = [np.linspace(0.05, 0.95, count) for count in GRID]
+        axes = [np.round(a + share * (b - a), 3).tolist() for a, b, share in zip(low, high, shares, strict=True)]
+        takes = [self._turns(place, [(at, turn) for turn in limits]) for at in product(*axes)]
+        free = np.array(takes).reshape(GRID)
+        sides = [[side for side in combinations(range(count), 2) if side[1] - side[0] >= NARROWEST] for count in GRID]
+        parts = [part for part in product(*sides) if free[tuple(slice(a, b + 1) for a, b in part)].all()]
+        draws = SeedTree(0).generator()
+        for part in sorted(parts, key=lambda part: -float(np.prod(np.diff(part) / np.subtract(GRID, 1)[:, None]))):
+            (a, b, c), (d, e, f) = (
+                [axis[k] for axis, k in zip(axes, end, strict=True)] for end in zip(*part, strict=True)
             )
-            corners = product(*zip(low.tolist(), ((low + high) / 2).tolist(), high.tolist(), strict=True))
-            goals = (Pose.at(at, turn) for at, turn in product(corners, turns))
-            if all(self._takes(self._led(rest, goal, rest, 60), goal) for goal in goals):
-                (a, b, c), (d, e, f) = low.tolist(), high.tolist()
+            directions = draws.uniform(-pi, pi, RANDOM_POSES)
+            turns = draws.uniform(-around.turn, around.turn, RANDOM_POSES)
+            poses = [
+                (
+                    draws.uniform((a, b, c), (d, e, f)).tolist(),
+                    around.at(around.tilt * cos(way), around.tilt * sin(way), turn),
+                )
+                for way, turn in zip(directions, turns, strict=True)
+            ]
+            if self._turns(place, poses):
                 return Box((a, b, c), (d, e, f))
         return None
+
+    def _turns(self, place: Place, poses: Iterable[tuple[Vector, Quaternion]]) -> bool:
+        """Whether inverse kinematics from home brings the tool into each of these poses."""
+        home = np.array(place.home)
+        goals = (Pose.at(at, turn) for at, turn in poses)
+        return all(self._takes(self._led(home, goal, home, 60), goal) for goal in goals)
 
     def _links(self, pose: Sequence[float], shapes: Sequence[Array]) -> list[Array]:
         """Points (k, 3) of each link, which are given in its own frame, in the base's frame."""

@@ -31,7 +31,7 @@ from .grippers.parallel import GripperModel
 from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange
 from .mounting import mounted
-from .poses import ENOUGH, LEAST, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
+from .poses import BETTER, ENOUGH, LEAST, MORE, SMALLEST_WORKSPACE, Outline, Place, Poses, spanning
 from .settings import ArmSettings
 
 GRIPPER_NAMES = re.compile(r"grip|finger|jaw|claw|knuckle|thumb", re.IGNORECASE)
@@ -159,14 +159,14 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         hand_note += f", in place of what {', '.join(beyond)} carry" if beyond else ""
     site, *others = (_Site(one, hand, found.robot, known) for one in tries)
     first = site
-    for other in others if site.room < ENOUGH else ():
-        site = other if other.room > MORE * site.room else site
+    for other in others if site.worth < ENOUGH else ():
+        site = other if other.worth > BETTER * site.worth else site
     place, whole, poses = site.place, site.whole, site.poses
     if place is None:
         what = f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found that the tool reaches pointing down"
         hint = "choose the tool with --tool LINK; the z axis of the base points upwards"
         raise PluginError(what, where=str(path), hint=hint)
-    low, high, dexterous = place.workspace.low, place.workspace.high, poses.dexterous(place)
+    low, high, dexterous = place.workspace.low, place.workspace.high, place.dexterous
     where = "none found: tasks whose goal is a pose refuse this robot"
     if dexterous is not None:
         turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
@@ -300,14 +300,14 @@ class _Site:
             floor = round(first.shoulder - share * first.length, 2)
             poses = Poses(*self._made, floor)
             other = poses.best()
-            if other is not None and other.room > (MORE * found.room if found is not None else 0.0):
+            if other is not None and other.worth > (MORE * found.worth if found is not None else 0.0):
                 found, self.poses, self.floor = other, poses, floor
         return found if found is None or workspace is None else self.poses.at(found.home, workspace)
 
     @property
-    def room(self) -> float:
-        """`Place.room`; 0 without a place."""
-        return self.place.room if self.place is not None else 0.0
+    def worth(self) -> float:
+        """`Place.worth`; 0 without a place."""
+        return self.place.worth if self.place is not None else 0.0
 
     @property
     def pairs(self) -> list[tuple[int, int]]:

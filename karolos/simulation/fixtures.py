@@ -12,7 +12,7 @@ inertia is that of its geoms, each with its own mass. As in MuJoCo, geoms that a
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree.ElementTree import Element, SubElement
@@ -97,7 +97,7 @@ def hulls(robot: Element) -> dict[str, str]:
 def arm(path: Path, speed: float) -> Element:
     """The URDF of an arm in an MJCF file, with absolute names of meshes. Elements unknown to fixtures are left out.
 
-    Its torques are those of its actuators; MJCF has no speeds.
+    Its torques are those of its actuators, or limits of its joints; MJCF has no speeds.
 
     Args:
         speed: of all joints, in rad/s.
@@ -117,7 +117,9 @@ def arm(path: Path, speed: float) -> Element:
         torques[actuator.get("joint", "")] = max(map(abs, urdf.numbers(limits or "0") or [0.0])) * abs(gear)
     for joint in reader.robot.iterfind("joint"):
         for limit in joint.findall("limit"):
-            limit.attrib.update(effort=repr(torques.get(joint.get("name", ""), 0.0)), velocity=repr(speed))
+            limit.set("velocity", repr(speed))
+            if torque := torques.get(joint.get("name", "")):
+                limit.set("effort", repr(torque))
     return reader.robot
 
 
@@ -128,7 +130,8 @@ class _MjcfReader:
         self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
     ) -> None:
         self._path, self._collision, self._root, self._lines = path, collision, root, lines
-        self._files: dict[str, tuple[Path, float]] = {}
+        self._files: dict[str, tuple[Path, float] | PluginError] = {}
+        """Files of meshes and their scales; an error counts only if a shape needs the mesh."""
         self._degree = np.pi / 180
         self._usual: dict[str, dict[str, dict[str, str]]] = {"main": {}}
         """Default attributes of elements: by class, and by kind of element."""
@@ -146,14 +149,17 @@ class _MjcfReader:
             for mesh in self._parts(part, "mesh") if part.tag == "asset" else ():
                 self._complete(mesh, "main")
                 file, scale = folder / mesh.get("file", ""), self._numbers(mesh, "scale", (1.0, 1.0, 1.0))
-                if not file.is_file() or file.suffix.lower() not in meshes.MESH_SUFFIXES or np.ptp(scale):
-                    kinds = ", ".join(meshes.MESH_SUFFIXES)
-                    raise self._error(mesh, f"it needs a file of {kinds}, and one scale for all axes")
-                self._files[mesh.get("name", file.stem)] = file, float(scale[0])
+                usable = file.is_file() and file.suffix.lower() in meshes.MESH_SUFFIXES and not np.ptp(scale)
+                needs = f"it needs a file of {', '.join(meshes.MESH_SUFFIXES)}, and one scale for all axes"
+                found = (file, float(scale[0])) if usable else self._error(mesh, needs)
+                self._files[mesh.get("name", file.stem)] = found
             bodies += self._parts(part, "body") if part.tag == "worldbody" else []
+        yield from self._body(self._base(bodies), "", np.zeros(3), "main")
+
+    def _base(self, bodies: Sequence[Element]) -> Element:
         if len(bodies) != 1:
             raise self._error(self._root, f"{len(bodies)} bodies in <worldbody>; it needs one, the base")
-        yield from self._body(bodies[0], "", np.zeros(3), "main")
+        return bodies[0]
 
     def _learn(self, default: Element, name: str, above: dict[str, dict[str, str]]) -> None:
         """Keep the attributes of a class, which inherits those of the class around it."""
@@ -241,8 +247,10 @@ class _MjcfReader:
             turn = _from_z(along)
         pose: dict[str, Any] = {"position": vector(place - pivot), "orientation": turn}
         if kind == "mesh" and geom.get("mesh") in self._files:
-            file, scale = self._files[geom.get("mesh", "")]
-            return Mesh(file, scale, collision, **pose)
+            found = self._files[geom.get("mesh", "")]
+            if isinstance(found, PluginError):
+                raise found
+            return Mesh(*found, collision, **pose)
         half = [float(one) for one in size]
         try:
             match kind, half:
@@ -307,6 +315,13 @@ class _MjcfArm(_MjcfReader):
     robot: Element
     """What `links` fills."""
 
+    def _base(self, bodies: Sequence[Element]) -> Element:
+        if len(bodies) < 2:
+            return super()._base(bodies)
+        both = Element("body", name="world")  # two arms side by side; the user chooses one by its tool
+        both.extend(bodies)
+        return both
+
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
         parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
         for part in parts:
@@ -332,10 +347,11 @@ class _MjcfArm(_MjcfReader):
             place_element(made, vector(place - offset + matrix_of(turn) @ pivot), turn)
             for joint in joints:
                 scale = self._degree if kind == "revolute" else 1.0
-                low, high = self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale
+                low, high = (self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale).tolist()
                 axis = self._numbers(joint, "axis", (0.0, 0.0, 1.0))
                 SubElement(made, "axis", xyz=" ".join(map(repr, axis.tolist())))
-                SubElement(made, "limit", lower=repr(float(low)), upper=repr(float(high)))
+                torque = self._numbers(joint, "actuatorfrcrange", (0.0, 0.0))
+                SubElement(made, "limit", lower=repr(low), upper=repr(high), effort=repr(float(np.abs(torque).max())))
                 damping, friction = (self._number(joint, key, 0.0) for key in ("damping", "frictionloss"))
                 SubElement(made, "dynamics", damping=repr(damping), friction=repr(friction))
         for part in parts:

@@ -160,16 +160,23 @@ def test_no_motor_is_short_of_torque_for_the_proposed_accelerations(arm):
     assert len(weak.accelerations) == len([joint for joint in description.joints if joint.revolute])
 
 
-def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm):
-    bodies, motors = "", ""
+def mjcf_arm(name, joint):
+    """The bodies of an arm; `joint` makes the attributes of a joint from its torque."""
+    bodies = ""
     for place, (height, axis, _, _, torque) in enumerate(LINKS, 1):
-        bodies += f'<body name="b{place}" pos="0 0 {height}"><joint name="j{place}" axis="{axis}" range="-170 170"/>'
+        bodies += f'<body name="{name}b{place}" pos="0 0 {height}">'
+        bodies += f'<joint name="{name}j{place}" axis="{axis}" range="-170 170" {joint(torque)}/>'
         bodies += '<geom type="capsule" size="0.03" fromto="0 0 0 0 0 0.08"/><site name="unknown"/>'
-        motors += f'<motor joint="j{place}" ctrlrange="-{torque} {torque}"/>'
-    hand = '<body name="hand" pos="0 0 0.09"/>'
+    return f'{bodies}<body name="{name}hand" pos="0 0 0.09"/>{"</body>" * len(LINKS)}'
+
+
+def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm):
+    motors = "".join(
+        f'<motor joint="j{place}" ctrlrange="-{torque} {torque}"/>' for place, (*_, torque) in enumerate(LINKS, 1)
+    )
     path = arm.with_name("arm.xml")
     path.write_text(
-        f'<mujoco><worldbody><body name="base"><geom size="0.05"/>{bodies}{hand}{"</body>" * 7}</worldbody>'
+        f'<mujoco><worldbody><body name="base"><geom size="0.05"/>{mjcf_arm("", lambda torque: "")}</body></worldbody>'
         f"<actuator>{motors}</actuator></mujoco>"
     )
     robot = robot_of(file=str(path), gripper="robotiq_2f85", mass=9.0)
@@ -179,6 +186,25 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
     assert 6.0 < sum(masses) < 9.0, "the base weighs the rest"
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
+
+
+def test_one_of_two_arms_in_an_mjcf_file_is_chosen_by_its_tool_and_a_mesh_that_is_only_drawn_is_not_read(arm):
+    limit = 'actuatorfrcrange="-{0} {0}"'.format
+    drawn = '<geom type="mesh" mesh="mirrored" contype="0" conaffinity="0"/><geom size="0.05"/>'
+    arms = "".join(
+        f'<body name="{side}" pos="0 {y} 0">{drawn}{mjcf_arm(side, limit)}</body>'
+        for side, y in (("left", 0.5), ("right", -0.5))
+    )
+    path = arm.with_name("arms.xml")
+    path.write_text(
+        '<mujoco><asset><mesh name="mirrored" file="base.obj" scale="1 -1 1"/></asset>'
+        f"<worldbody>{arms}</worldbody></mujoco>"
+    )
+    with pytest.raises(PluginError, match="two arms begin here, with joints leftj1, rightj1; choose one with --tool"):
+        robot_of(file=str(path), gripper="robotiq_2f85", mass=9.0)
+    robot = robot_of(file=str(path), gripper="robotiq_2f85", mass=9.0, tool="righthand")
+    assert robot.limits.effort == tuple(float(torque) for *_, torque in LINKS)
+    assert robot.model.cut == ("righthand_fixed",)
 
 
 def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm):
