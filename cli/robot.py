@@ -28,7 +28,7 @@ Gripper = Annotated[
 
 @app.command()
 def check(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="A URDF.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A URDF (a path, or installed:PACKAGE/PATH).")],
     gripper: Annotated[
         str | None,
         typer.Option(
@@ -52,11 +52,12 @@ def check(
     Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair karolos writes a copy:
     masses from convex hulls, torques from gravity, meshes found elsewhere. The copy lists each change.
     """
+    from karolos.files import file_of
     from karolos.plugins.robot_check import check_file
 
     known = {"gripper": gripper, "tool": tool, "flange": flange}
     wrong = kept = 0
-    for row in check_file(file, repaired=repair, mass=mass, promises=promises, **known):
+    for row in check_file(file_of(file), repaired=repair, mass=mass, promises=promises, **known):
         image = row.pop("picture", None)
         if image is not None:
             if out is not None:

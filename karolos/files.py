@@ -123,6 +123,11 @@ def installed_file(name: str) -> Path | None:
     return next((Path(str(one.locate())).resolve() for one in files if f"/{one.as_posix()}".endswith(f"/{end}")), None)
 
 
+def file_of(name: str | Path) -> Path:
+    """The file of a path or of installed:PACKAGE/PATH; a name that no package has stays as it is."""
+    return (installed_file(str(name)) if str(name).startswith(INSTALLED) else None) or Path(name)
+
+
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
     """SHA-256 (hex) of a file or of a folder's source, with all files that are named there; None for anything else.
 

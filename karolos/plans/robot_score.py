@@ -21,7 +21,7 @@ from ..evaluation.playing import evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import playing_processes, test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
-from ..files import INSTALLED, installed_file, write_whole, writing
+from ..files import INSTALLED, file_of, write_whole, writing
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
@@ -222,7 +222,7 @@ def file_overrides(
         mass: of the arm in kg, used if the file needs repair.
         tool: link at the end of the arm, in a file of two arms; None: the file says it.
     """
-    path = Path((installed_file(file) if file.startswith(INSTALLED) else None) or file)
+    path = file_of(file)
     settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
     settings |= {"tool": tool} if tool is not None else {}
     try:

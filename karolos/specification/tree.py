@@ -10,7 +10,7 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from ..errors import Problem, SpecError, is_secret
-from ..files import INSTALLED, installed_file
+from ..files import INSTALLED, file_of
 from ..registry import loaded
 
 PARTS = {
@@ -279,9 +279,9 @@ def leaves(value: object, path: Path = (), *, lists: bool = False) -> Iterator[t
         yield path, value
 
 
-def _found(name: str, folder: FilePath) -> FilePath | str:
+def _found(name: str, folder: FilePath) -> FilePath:
     """A file by its absolute name. A file of a missing package keeps its name."""
-    return (installed_file(name) or name) if name.startswith(INSTALLED) else folder / name
+    return file_of(name) if name.startswith(INSTALLED) else folder / name
 
 
 def is_part(path: tuple[str, ...]) -> bool:
