@@ -38,8 +38,8 @@ TRANSFERS = REFERENCE / "transfers"
 """A folder per matrix, called as its spec: rows.jsonl, which --json printed, and the resolved spec of each variant."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
 """What is kept of a run: no weights, no training episodes."""
-RETURN_PLACES = 4
-"""Decimal places that are kept of the return of an episode."""
+RETURN_PLACES, MEASURE_DIGITS = 2, 4
+"""Decimal places that are kept of the return of an episode, and significant digits of a measure."""
 SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
 SHORTER = ("training.steps=", "testing.final_episodes=")
@@ -130,14 +130,17 @@ def add(path: Path) -> Path:
 
 
 def _leave_out(tests: Path, *keys: str, after: int = 0) -> None:
-    """Leave out what is most of the bytes of a record of tests and what comparisons do not take from it; round returns.
+    """Leave out what is most of the bytes of a record of tests and what comparisons do not take from it.
 
-    The first `after` lines stay as they are.
+    Returns and values of measures are rounded. The first `after` lines keep all keys.
     """
     rows = [json.loads(line) for line in tests.read_text(encoding="utf-8").splitlines()]
     kept = rows[:after] + [{key: value for key, value in row.items() if key not in keys} for row in rows[after:]]
     for row in kept:
-        row["returns"] = [round(value, RETURN_PLACES) for value in row["returns"]]
+        if "returns" in row:  # else it says which policies the others are of
+            row["returns"] = [round(value, RETURN_PLACES) for value in row["returns"]]
+        for measure in row.get("measures", {}).values():
+            measure["values"] = [one and float(f"{one:.{MEASURE_DIGITS}g}") for one in measure["values"]]
     tests.write_text("".join(json.dumps(row, separators=(",", ":")) + "\n" for row in kept), encoding="utf-8")
 
 

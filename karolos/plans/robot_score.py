@@ -127,7 +127,9 @@ def policies_of(robot: str) -> list[Path]:
 def refused(run: Path, episodes: int, error: KarolosError) -> PolicyScore:
     """The score of a policy on a robot that does not fit its task, or that cannot be used at all."""
     task = part_name(RunFolder.open(run).spec(), "task") or ""
-    return PolicyScore(run.name, task, episodes, None, refused=" ".join(str(error).splitlines()))
+    # The overrides that name the robot are no news, the setting that does not fit is.
+    what = str(error) if error.setting is None else f"{error.setting}: {error.what}"
+    return PolicyScore(run.name, task, episodes, None, refused=" ".join(what.splitlines()))
 
 
 def score_policy(
