@@ -48,7 +48,7 @@ def measure(
     repeats: int = 5,
     database: str | None = None,
 ) -> Iterator[Row]:
-    """Seconds to rebuild, check and query a database of so many runs, and transactions per second of many writers.
+    """Seconds to rebuild, check and query a database of `runs` runs, and transactions per second of many writers.
 
     Args:
         tests: of each run.
@@ -68,22 +68,24 @@ def measure(
         with Store(url) as store:
             reading = seconds_of(lambda: _read_all(folder))
             building = seconds_of(lambda: reindex(store, folder))
-            yield Row(f"reindex, {size}", building, "s", "reading the JSON alone", reading)
+            yield Row(f"reindex, {size}", building, "s", "the time to read the JSON files", reading)
             checking = seconds_of(lambda: list(check(store, folder)))
             yield Row(f"check, {size}", checking, "s")
             found = len(store.runs(where=FILTER))
             asking, everything = typical(lambda: store.runs(where=FILTER)), typical(store.runs)
-            yield Row(f"filter that {found:,} of {runs:,} runs fit", asking, "s", "all runs", everything)
+            case = f"query with a filter: {found:,} of {runs:,} runs match"
+            yield Row(case, asking, "s", "the time for all runs", everything)
         listing = [sys.executable, "-m", "karolos_cli", "runs", "list"]
         call = partial(subprocess.run, check=True, stdout=subprocess.DEVNULL)
         asking = typical(lambda: call([*listing, FILTER, "--runs", str(folder), "--database", url, "--json"]))
         starting = typical(lambda: call([*listing, "--help"]))
-        yield Row(f"command `runs list` with a filter, {found:,} rows", asking, "s", "its --help", starting)
+        case = f"command `runs list` with a filter, {found:,} rows"
+        yield Row(case, asking, "s", "the time of `runs list --help`", starting)
         yield _writing(Path(place), writers, database)
 
 
 def _writing(place: Path, writers: int, database: str | None) -> Row:
-    """Transactions per second, beside bare ones of SQLite where that is the database."""
+    """Transactions per second, compared with those of SQLite alone if SQLite is the database."""
     folder = place / "writers"
     make_runs(folder, writers, tests=1, episodes=1)
     url = database or Store.default_url(folder)
@@ -99,7 +101,7 @@ def _writing(place: Path, writers: int, database: str | None) -> Row:
         connection.execute("CREATE TABLE runs (run INTEGER PRIMARY KEY, steps INTEGER)")
         connection.executemany("INSERT INTO runs VALUES (?, 0)", [(index,) for index in range(writers)])
     bare_rate = writers * WRITES / _together(_write_bare, str(bare), writers)
-    return Row(case, rate, "transactions/s", "sqlite3, one bare UPDATE", bare_rate)
+    return Row(case, rate, "transactions/s", "sqlite3 with one UPDATE per transaction", bare_rate)
 
 
 def _together(work: Callable[[str, int], None], where: str, writers: int) -> float:
