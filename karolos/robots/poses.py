@@ -217,19 +217,20 @@ class Poses:
         """The largest part of the workspace in which the tool can be turned as an `ArmModel` says by default.
 
         Its corners are places of a grid. At each place between them the tool takes turns and tilts at the limits, and
-        it takes random poses of the part. None if all such parts are too small.
+        it takes random poses of the part. Links that can collide stay apart. None if all such parts are too small.
         """
         around = Orientations(self.chain.forward(place.home).tool.orientation, ArmModel.tilt, ArmModel.turn)
         limits = [
             around.at(around.tilt * x, around.tilt * y, turn)
             for (x, y), turn in product(TILTS, (-around.turn, around.turn))
         ]
-        if not self._turns(place, [(place.tool, turn) for turn in limits]):
+        pairs = self.pairs(place.corners)
+        if not self._turns(place, pairs, [(place.tool, turn) for turn in limits]):
             return None
         low, high = (np.array(end) for end in (place.workspace.low, place.workspace.high))
         shares = [np.linspace(0.05, 0.95, count) for count in GRID]
         axes = [np.round(a + share * (b - a), 3).tolist() for a, b, share in zip(low, high, shares, strict=True)]
-        takes = [self._turns(place, [(at, turn) for turn in limits]) for at in product(*axes)]
+        takes = [self._turns(place, pairs, [(at, turn) for turn in limits]) for at in product(*axes)]
         free = np.array(takes).reshape(GRID)
         sides = [[side for side in combinations(range(count), 2) if side[1] - side[0] >= NARROWEST] for count in GRID]
         parts = [part for part in product(*sides) if free[tuple(slice(a, b + 1) for a, b in part)].all()]
@@ -247,15 +248,21 @@ class Poses:
                 )
                 for way, turn in zip(directions, turns, strict=True)
             ]
-            if self._turns(place, poses):
+            if self._turns(place, pairs, poses):
                 return Box((a, b, c), (d, e, f))
         return None
 
-    def _turns(self, place: Place, poses: Iterable[tuple[Vector, Quaternion]]) -> bool:
-        """Whether inverse kinematics from home brings the tool into each of these poses."""
+    def _turns(
+        self, place: Place, pairs: Sequence[tuple[int, int]], poses: Iterable[tuple[Vector, Quaternion]]
+    ) -> bool:
+        """Whether inverse kinematics from home brings the tool into each of these poses, with these links apart."""
         home = np.array(place.home)
-        goals = (Pose.at(at, turn) for at, turn in poses)
-        return all(self._takes(self._led(home, goal, home, 60), goal) for goal in goals)
+        for at, turn in poses:
+            goal = Pose.at(at, turn)
+            pose = self._led(home, goal, home, 60)
+            if not (self._takes(pose, goal) and self._apart(pose.tolist(), pairs) == pairs):
+                return False
+        return True
 
     def _links(self, pose: Sequence[float], shapes: Sequence[Array]) -> list[Array]:
         """Points (k, 3) of each link, which are given in its own frame, in the base's frame."""

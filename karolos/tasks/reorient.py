@@ -194,7 +194,7 @@ class Reorient(CubeTask):
     def reset(self, generator: Generator) -> None:
         robot, piece = self._robot, self.cube
         self.closing_yaw = closing_yaw(robot)
-        lies = generator.uniform() < self.settings.lying
+        lies = generator.uniform() < self.drawn.lying
         held = multiply(rotation_about((0.0, 0.0, self.closing_yaw)), LYING if lies else UPRIGHT)
         """Rotation of the object in a gripper that points down as at home."""
         rest = piece.edges[1 if lies else 2] / 2
