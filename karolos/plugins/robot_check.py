@@ -45,7 +45,7 @@ def check_file(
     try:
         found = proposal_of(FromFile.Settings.model_validate(settings))
     except KarolosError as error:
-        yield {"kind": "wrong", **asdict(Finding(str(path), " ".join(str(error).splitlines())))}
+        yield {"kind": "wrong", **asdict(Finding.of(error, path))}
         return
     for note in (one for one in found.notes if not one.startswith("repaired: ")):
         doubted = note.startswith("doubted: ")

@@ -16,7 +16,7 @@ from xml.parsers.expat import ExpatError
 import numpy as np
 
 from ..core import Array
-from ..errors import PluginError
+from ..errors import KarolosError, PluginError
 from ..files import find_named, write_whole
 from ..simulation import urdf
 from ..simulation.fixtures import arm
@@ -50,6 +50,12 @@ class Finding:
     what: str
     change: str = ""
     """Value in the repaired copy; empty if it cannot be known."""
+
+    @classmethod
+    def of(cls, error: KarolosError, path: Path) -> Finding:
+        """The defect that an error about the file at `path` says."""
+        what = f"{error.what}; {error.hint}" if error.hint else error.what
+        return cls(error.where or str(path), what)
 
 
 class Repair:
@@ -85,8 +91,7 @@ class Repair:
             self.robot, self._lines = urdf.parse(path, text)
             self._repair(self.robot, mass, limits=limits)
         except PluginError as error:
-            what = f"{error.what}; {error.hint}" if error.hint else error.what
-            self.findings.append(Finding(error.where or str(path), what))
+            self.findings.append(Finding.of(error, path))
 
     def write(self, path: Path) -> None:
         """Write the repaired copy, with names of meshes relative to its folder. Raises PluginError, MachineError."""
