@@ -54,8 +54,8 @@ CONTROL_STEPS, PERIOD = 45, 1 / 24
 """Control steps in which the tool gets from home to any place of the workspace, and their seconds."""
 ARRIVED = 3e-3
 """Largest distance in m of the tool from the place after them."""
-APART = 0.005
-"""Smallest distance in m of links that may collide."""
+APART, TOUCH = 0.005, 0.001
+"""Smallest distance in m of links that may collide, in the workspace and where the tool is turned."""
 FAR = 0.05
 """Distance in m of links with only one between them from which on they must stay apart."""
 
@@ -260,7 +260,7 @@ class Poses:
         for at, turn in poses:
             goal = Pose.at(at, turn)
             pose = self._led(home, goal, home, 60)
-            if not (self._takes(pose, goal) and self._apart(pose.tolist(), pairs) == pairs):
+            if not (self._takes(pose, goal) and self._apart(pose.tolist(), pairs, TOUCH) == pairs):
                 return False
         return True
 
