@@ -21,7 +21,6 @@ DESK_ARM = FILMS.parents[1] / "examples" / "karolos-desk-arm" / "src" / "karolos
 GUESTS = {
     "panda_reach_pose": None,
     "desk_arm_pick": ("ur5_pick", f"robot={{name: urdf, file: {DESK_ARM}}}"),
-    "random_arm_open": ("panda_open", "robot={name: random_arm, arm: 3}"),
 }
 """Film -> a shipped policy and the arm that it never saw; None: the expert of the spec of this name."""
 SIZE = (320, 240)

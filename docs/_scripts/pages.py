@@ -60,7 +60,7 @@ WALL = {
     "panda_reorient_demos": "reorient",
     "panda_reach_pose": "reach_pose (expert)",
     "desk_arm_pick": "an arm from its URDF",
-    "random_arm_open": "a random arm",
+    "ur5e_pick": "a UR5e, through karolos-deploy",
 }
 """Films of the home page with their captions: ten tasks, three arms, two foreign arms."""
 COPIED = {"ARCHITECTURE.md": "architecture.md", "CONTRIBUTING.md": "contributing.md", "CHANGELOG.md": "changelog.md"}
@@ -346,8 +346,8 @@ def wall() -> str:
     for film, caption in WALL.items():
         robot, task = film.split("_")[0], caption.split(" ")[0]
         page = f"generated/gallery/{robot}_{task}" if task in TASKS else "your_robot"
-        page = "generated/parts/tasks" if film == "panda_reach_pose" else page
-        arm = f"{robot}: " if "arm" not in film else ""
+        page = {"panda_reach_pose": "generated/parts/tasks", "ur5e_pick": "deploy"}.get(film, page)
+        arm = f"{robot}: " if task in (*TASKS, "reach_pose") else ""
         text += (
             f":::{{grid-item-card}}\n:img-top: films/{film}.gif\n:img-alt: {film}\n:link: {page}\n:link-type: doc\n\n"
             f"{arm}{caption}\n:::\n"
