@@ -54,6 +54,8 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
         "roomier homes are lower, or aside"
     )
     assert x > 0
+    assert robot.dexterous is not None
+    assert all(robot.workspace.contains(end) for end in (robot.dexterous.low, robot.dexterous.high))
     assert abs(robot.configuration.tool.y[0]) < 1e-3, "the fingers close along the world's y axis"
     own = robot_of(file=str(arm))
     assert own.model.fingers is not None
@@ -62,6 +64,14 @@ def test_a_gripper_takes_the_place_of_the_hand_in_the_file_and_closes_across(arm
     known = {"home": own.model.home, "workspace": [list(own.workspace.low), list(own.workspace.high)]}
     other = robot_of(file=str(arm), gripper="vacuum", **known)
     assert other.model.cup is not None
+
+
+def test_an_arm_whose_last_joint_hardly_turns_has_no_space_in_which_its_tool_is_turned(arm):
+    narrow = r'\1revolute\2 lower="-0.6" upper="0.6"'
+    arm.write_text(re.sub(r'(name="joint6" type=")continuous(".*?<limit)', narrow, arm.read_text(), flags=re.DOTALL))
+    robot = robot_of(file=str(arm), gripper="robotiq_2f85")
+    assert robot.dexterous is None
+    assert any("refuse this robot" in note for note in proposal_of(robot.settings).notes)
 
 
 def test_a_file_counts_by_its_content_and_stands_relative_to_the_spec(arm):
