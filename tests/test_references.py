@@ -38,12 +38,12 @@ def test_every_pair_of_robot_and_task_has_a_spec():
         assert (ROOT / "specs" / f"{robot}_{task}.yaml").is_file()
 
 
-def test_films_show_the_shipped_policies_or_an_expert():
+def test_films_show_the_shipped_policies():
     films = runpy.run_path(str(ROOT / "docs" / "_scripts" / "films.py"))
-    guests = {name: what and what[0] for name, what in films["GUESTS"].items()}
+    guests = {name: policy for name, (policy, _) in films["GUESTS"].items()}
     for name, policy in ({name: name for name in shipped_names()} | guests).items():
         shown = films["played_in"](films["FILMS"] / f"{name}.gif")
-        assert shown == (films["sha256"](policy) if policy else "expert"), f"run: docs/_scripts/films.py {name}"
+        assert shown == films["sha256"](policy), f"run: docs/_scripts/films.py {name}"
 
 
 def test_reference_runs_are_small_and_hold_no_weights():

@@ -11,18 +11,14 @@ from pathlib import Path
 
 from PIL import Image
 
-from karolos.evaluation.playing import load_expert, load_player, play
+from karolos.evaluation.playing import load_player, play
 from karolos.records import RunFolder, shipped
 from karolos.report.video import pictures_per_second, with_caption, write_gif
-from karolos.specification import load_spec
 
 FILMS = Path(__file__).parents[1] / "films"
 DESK_ARM = FILMS.parents[1] / "examples" / "karolos-desk-arm" / "src" / "karolos_desk_arm" / "desk_arm.urdf"
-GUESTS = {
-    "panda_reach_pose": None,
-    "desk_arm_pick": ("ur5_pick", f"robot={{name: urdf, file: {DESK_ARM}}}"),
-}
-"""Film -> a shipped policy and the arm that it never saw; None: the expert of the spec of this name."""
+GUESTS = {"desk_arm_pick": ("ur5_pick", f"robot={{name: urdf, file: {DESK_ARM}}}")}
+"""Film -> a shipped policy and the arm that it never saw."""
 SIZE = (320, 240)
 HOLD, EPISODES, COLOURS = 16, 2, 192
 """Pictures of the end of an episode, episodes, colours."""
@@ -40,12 +36,8 @@ def played_in(film: Path) -> str:
 
 def make(name: str) -> Path:
     """Film test episodes of a shipped policy, or of a guest."""
-    policy, *overrides = GUESTS.get(name, (name,)) or ("",)
-    if policy:
-        loading = load_player(RunFolder.open(shipped.FOLDER / policy), overrides=overrides)
-    else:
-        loading = load_expert(load_spec(name))
-    with loading as player:
+    policy, *overrides = GUESTS.get(name, (name,))
+    with load_player(RunFolder.open(shipped.FOLDER / policy), overrides=overrides) as player:
         environment, seed, pictures = player.environment, player.spec.testing.seed, []
         rate = pictures_per_second(environment)
         for moment in play(environment, player.policy, episodes=EPISODES, seed=seed):
@@ -55,7 +47,7 @@ def make(name: str) -> Path:
             pictures += pictures[-1:] * (HOLD * moment.over)
     FILMS.mkdir(exist_ok=True)
     film = FILMS / f"{name}.gif"
-    write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(policy)}" if policy else "expert")
+    write_gif(film, pictures, 1000 / rate, colours=COLOURS, comment=f"policy {sha256(policy)}")
     return film
 
 

@@ -38,12 +38,13 @@ from karolos.store import tables
 ROOT = Path(__file__).parents[2]
 TASKS = {
     "reach": ("reach",),
+    "reach_pose": ("reach_pose",),
     "push": ("push",),
     "pick_place": ("pick", "pick_demos"),
     "throw": ("throw",),
     "insert": ("insert",),
-    "stack": ("stack_demos",),
-    "slide": ("slide_demos",),
+    "stack": ("stack", "stack_demos"),
+    "slide": ("slide", "slide_demos"),
     "reorient": ("reorient_demos",),
     "open": ("open",),
 }
@@ -54,11 +55,11 @@ WALL = {
     "panda_pick": "pick_place",
     "iiwa_throw": "throw",
     "ur5_insert": "insert",
-    "panda_stack_demos": "stack",
+    "panda_stack": "stack",
     "iiwa_slide_demos": "slide",
     "ur5_open": "open",
     "panda_reorient_demos": "reorient",
-    "panda_reach_pose": "reach_pose (expert)",
+    "panda_reach_pose": "reach_pose",
     "desk_arm_pick": "an arm from its URDF",
     "ur5e_pick": "a UR5e, through karolos-deploy",
 }
@@ -346,8 +347,8 @@ def wall() -> str:
     for film, caption in WALL.items():
         robot, task = film.split("_")[0], caption.split(" ")[0]
         page = f"generated/gallery/{robot}_{task}" if task in TASKS else "your_robot"
-        page = {"panda_reach_pose": "generated/parts/tasks", "ur5e_pick": "deploy"}.get(film, page)
-        arm = f"{robot}: " if task in (*TASKS, "reach_pose") else ""
+        page = "deploy" if film == "ur5e_pick" else page
+        arm = f"{robot}: " if task in TASKS else ""
         text += (
             f":::{{grid-item-card}}\n:img-top: films/{film}.gif\n:img-alt: {film}\n:link: {page}\n:link-type: doc\n\n"
             f"{arm}{caption}\n:::\n"

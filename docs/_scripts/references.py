@@ -47,6 +47,7 @@ SHORTER = ("training.steps=", "testing.final_episodes=")
 ROBOTS = ("panda", "ur5", "iiwa")
 TARGETS = {
     "reach": (0.99, 8),
+    "reach_pose": (0.99, 30),
     "push": (0.97, 25),
     "pick": (0.97, 30),
     "pick_demos": (0.97, 12),
@@ -55,6 +56,7 @@ TARGETS = {
     "insert_demos": (0.99, 120),
     "stack": (0.97, 150),
     "stack_demos": (0.95, 180),
+    "slide": (0.93, 600),
     "slide_demos": (0.95, 600),
     "reorient_demos": (0.95, 900),
     "open": (0.95, 300),
@@ -236,7 +238,7 @@ def _transfer(path: Path) -> str:
     steps = count(rows[0]["source_cost"]["steps"])
     head = f"`{path.name}`, {len(rows[0]['source_runs'])} seeds, sources of {steps} steps; "
     head += f"random actions and the expert: {levels}."
-    return f"{head}\n\n{markdown(columns, pairs)}"
+    return f"{head}\n{markdown(columns, pairs)}"
 
 
 def _estimate(row: dict[str, Any] | None) -> str:
