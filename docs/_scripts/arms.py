@@ -19,7 +19,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
-from karolos.errors import KarolosError
+from karolos.errors import KarolosError, without_folders
 from karolos.files import installed_file
 from karolos.plans.robot_score import PolicyScore, file_overrides, refused, score_policy
 from karolos.records.provenance import versions
@@ -125,7 +125,7 @@ def keep(arm: str, gripper: str, policy: str, score: PolicyScore) -> None:
     """Write a row."""
     ends = None if score.success is None else round(score.success * score.episodes)
     about = {"arm": arm, "gripper": gripper, "policy": policy, "task": score.task, "episodes": score.episodes}
-    played = {"successes": ends, "causes": score.causes, "refused": score.refused}
+    played = {"successes": ends, "causes": score.causes, "refused": score.refused and without_folders(score.refused)}
     row = {**about, **played, "day": f"{date.today()}", "karolos": versions()["karolos"]}
     with ROWS.open("a", encoding="utf-8") as rows:
         rows.write(f"{json.dumps(row)}\n")

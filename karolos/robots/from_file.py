@@ -117,7 +117,11 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made
         if made is None or found.model.urdf.is_file():
             return found
     used, notes = _as_urdf(path, made, place)
-    found = propose(used, gripper, known)
+    try:
+        found = propose(used, gripper, known)
+    except PluginError as error:  # the user knows the file, not the copy
+        where = error.where and error.where.replace(str(used), str(path))
+        raise PluginError(error.what, where=where, hint=error.hint) from None
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:
         with suppress(OSError, MachineError):  # a folder that cannot be written

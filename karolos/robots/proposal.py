@@ -59,6 +59,8 @@ DOUBTED_DENSITY = 3.0, 200.0
 """Smallest and largest mass of an arm per square of its length, in kg/m2: a VX300s has 4, a UR5 16, a KR210 107."""
 DOUBTED_WEIGHT = 0.7
 """Fraction of a motor's torque for the arm's own weight that causes a doubt if larger."""
+WEAK = 1.2
+"""The same for which an arm is refused, because it cannot hold itself. Of 32 real arms one has more than 1.0: 2.6."""
 SHOULDERS = (0.3, 0.6)
 """Heights of the second joint above a table, per length of the arm: standing, and hanging."""
 PAD_DEPTH = 0.01
@@ -175,11 +177,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     loads = MotorLoads(whole.description)
     accelerations = loads.accelerations(place.corners)
     slower = ", ".join(f"{one:g}" for one in accelerations or ())
-    weights = [
-        f"{joint.name} {share:.0%}"
-        for joint, share in zip(joints, loads.shares(place.corners), strict=True)
-        if share > DOUBTED_WEIGHT
-    ]
+    weights = _weights(loads, place, joints, path)
     heavy = ", ".join(found.corrected)
     names = [*(joint.child for joint in joints), base]
     pairs = tuple((names[a], end) for a, b in site.pairs for end in [names[b], *[FINGERS] * (b == len(joints) - 1)])
@@ -221,6 +219,17 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     held = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
     summary = f"{len(joints)} joints, {poses.length:.2f} m long, {held}."
     return Proposal(model, summary, tuple(note for note, holds in notes.items() if holds))
+
+
+def _weights(loads: MotorLoads, place: Place, joints: Sequence[Joint], path: Path) -> list[str]:
+    """The joints whose torque gravity takes nearly, with its share. Raises PluginError if one cannot hold the arm."""
+    shares = dict(zip((joint.name for joint in joints), loads.shares(place.corners), strict=True))
+    weakest = max(shares, key=lambda name: shares[name])
+    if shares[weakest] > WEAK:
+        what = f"gravity takes {shares[weakest]:.0%} of its torque: the arm cannot hold itself and its hand"
+        hint = "compare the data sheet, or mount a lighter gripper"
+        raise PluginError(what, where=f"{path}: joint {weakest}", hint=hint)
+    return [f"{name} {share:.0%}" for name, share in shares.items() if share > DOUBTED_WEIGHT]
 
 
 def _read(

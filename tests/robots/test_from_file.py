@@ -231,6 +231,14 @@ def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm):
     assert any(note.startswith("repaired: its effort is 0") for note in proposal_of(repaired.settings).notes)
 
 
+def test_an_arm_that_cannot_hold_itself_is_refused_by_the_name_of_its_own_file(arm):
+    arm.write_text(re.sub(r'effort="\d+"', 'effort="3"', arm.read_text(), count=len(LINKS)))
+    for repair in (False, True):
+        with pytest.raises(PluginError, match="cannot hold itself") as refused:
+            robot_of(file=str(arm), gripper="robotiq_2f85", repair=repair)
+        assert str(refused.value).startswith(f"{arm}: joint joint")
+
+
 def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm):
     arm.write_text(re.sub(r'effort="\d+"', 'effort="9000"', arm.read_text(), count=len(LINKS)))
     ways = []
