@@ -50,6 +50,9 @@ def check_file(
     for note in (one for one in found.notes if not one.startswith("repaired: ")):
         doubted = note.startswith("doubted: ")
         yield {"kind": "doubted" if doubted else "assumed", "what": note.removeprefix("doubted: ")}
+    if found.overload:
+        yield {"kind": "wrong", **asdict(Finding(str(path), found.overload))}
+        return
     if found.model.tool_step:
         settings["tool_step"] = found.model.tool_step
     promised = cases(candidate("robots", "urdf", **settings), alone=True) if promises else ()

@@ -68,7 +68,11 @@ class FromFile(Arm):
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:
         assert isinstance(settings, cls.Settings)
-        return proposal_of(settings).model
+        found = proposal_of(settings)
+        if found.overload:
+            hint = "compare the data sheet, or mount a lighter gripper"
+            raise PluginError(found.overload, where=settings.file, hint=hint)
+        return found.model
 
 
 def proposal_of(settings: FromFile.Settings) -> Proposal:

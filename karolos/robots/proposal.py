@@ -60,7 +60,7 @@ DOUBTED_DENSITY = 3.0, 200.0
 DOUBTED_WEIGHT = 0.7
 """Fraction of a motor's torque for the arm's own weight that causes a doubt if larger."""
 WEAK = 1.2
-"""The same for which an arm is refused, because it cannot hold itself. Of 32 real arms one has more than 1.0: 2.6."""
+"""The same with which an arm cannot be used, because it does not hold itself. Of 32 arms one has more than 1.0: 2.6."""
 SHOULDERS = (0.3, 0.6)
 """Heights of the second joint above a table, per length of the arm: standing, and hanging."""
 PAD_DEPTH = 0.01
@@ -103,6 +103,8 @@ class Proposal:
     summary: str
     notes: tuple[str, ...]
     """Assumptions, one line each."""
+    overload: str = ""
+    """Why motors cannot hold the arm; empty if they can."""
 
     def code(self) -> dict[str, str]:
         """Values for the templates of a starter package. Texts from the URDF are Python literals."""
@@ -171,13 +173,16 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     low, high, dexterous = place.workspace.low, place.workspace.high, place.dexterous
     where = "none found: tasks whose goal is a pose refuse this robot"
     if dexterous is not None:
-        turned = f"turned by {ArmModel.turn:g} rad and tilted by {ArmModel.tilt:g}"
-        where = f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be {turned} there"
+        where = (
+            f"{_metres(dexterous.low)} to {_metres(dexterous.high)} m; the tool can be turned by {ArmModel.turn:g} rad "
+            f"and tilted by {ArmModel.tilt:g} there"
+        )
     filled = ", ".join(f"{name} ({what} filled)" for name, what in hulls(found.robot).items())
     loads = MotorLoads(whole.description)
     accelerations = loads.accelerations(place.corners)
     slower = ", ".join(f"{one:g}" for one in accelerations or ())
-    weights = _weights(loads, place, joints, path)
+    shares = loads.shares(place.corners)
+    weights = [f"{one.name} {share:.0%}" for one, share in zip(joints, shares, strict=True) if share > DOUBTED_WEIGHT]
     heavy = ", ".join(found.corrected)
     names = [*(joint.child for joint in joints), base]
     pairs = tuple((names[a], end) for a, b in site.pairs for end in [names[b], *[FINGERS] * (b == len(joints) - 1)])
@@ -218,18 +223,9 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     width = whole.fingers and whole.fingers.gripper.width
     held = f"a gripper of two fingers that opens {100 * width:g} cm" if width else "without a gripper"
     summary = f"{len(joints)} joints, {poses.length:.2f} m long, {held}."
-    return Proposal(model, summary, tuple(note for note, holds in notes.items() if holds))
-
-
-def _weights(loads: MotorLoads, place: Place, joints: Sequence[Joint], path: Path) -> list[str]:
-    """The joints whose torque gravity takes nearly, with its share. Raises PluginError if one cannot hold the arm."""
-    shares = dict(zip((joint.name for joint in joints), loads.shares(place.corners), strict=True))
-    weakest = max(shares, key=lambda name: shares[name])
-    if shares[weakest] > WEAK:
-        what = f"gravity takes {shares[weakest]:.0%} of its torque: the arm cannot hold itself and its hand"
-        hint = "compare the data sheet, or mount a lighter gripper"
-        raise PluginError(what, where=f"{path}: joint {weakest}", hint=hint)
-    return [f"{name} {share:.0%}" for name, share in shares.items() if share > DOUBTED_WEIGHT]
+    overload = f"gravity takes {', '.join(weights)} of the torque: the arm cannot hold itself and its hand"
+    noted = tuple(note for note, holds in notes.items() if holds)
+    return Proposal(model, summary, noted, overload if max(shares) > WEAK else "")
 
 
 def _read(

@@ -107,7 +107,7 @@ def test_the_store_is_rebuilt_asked_and_written_to(capfd, monkeypatch):
     sizes = ["--runs", "20", "--tests", "2", "--episodes", "5", "--writers", "2", "--repeats", "1"]
     rows = rows_of(capfd, "store", *sizes)
     assert [row["unit"] for row in rows] == ["s", "s", "s", "s", "transactions/s"]
-    assert rows[2]["case"] == "filter that 10 of 20 runs fit"
+    assert rows[2]["case"] == "query with a filter: 10 of 20 runs match"
 
 
 EPISODES = 24

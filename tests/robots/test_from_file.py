@@ -236,7 +236,7 @@ def test_an_arm_that_cannot_hold_itself_is_refused_by_the_name_of_its_own_file(a
     for repair in (False, True):
         with pytest.raises(PluginError, match="cannot hold itself") as refused:
             robot_of(file=str(arm), gripper="robotiq_2f85", repair=repair)
-        assert str(refused.value).startswith(f"{arm}: joint joint")
+        assert str(refused.value).startswith(f"{arm}: gravity takes joint2")
 
 
 def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm):
