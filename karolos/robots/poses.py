@@ -76,7 +76,7 @@ class Place(NamedTuple):
     corners: tuple[tuple[float, ...], ...]
     """Joint positions (n,) in rad at home and at the corners of the workspace."""
     dexterous: Box | None = None
-    """The part of the workspace in which the tool can be turned."""
+    """The part of the workspace in which the tool can be turned, in m; None: there is none, or it was not searched."""
 
     @property
     def worth(self) -> float:
@@ -144,7 +144,7 @@ class Poses:
         self.speeds = np.array([joint.velocity for joint in joints])
 
     def best(self) -> Place | None:
-        """The home pose with the largest workspace; None if the tool cannot point down anywhere around the base.
+        """The home pose whose `Place.worth` is largest; None if the tool cannot point down anywhere around the base.
 
         The search begins in front of the base, at the height and distance of the built-in arms. It goes on at other
         distances, and only if there is hardly room at other heights and then to the sides.

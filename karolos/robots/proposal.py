@@ -104,7 +104,7 @@ class Proposal:
     notes: tuple[str, ...]
     """Assumptions, one line each."""
     overload: str = ""
-    """Why motors cannot hold the arm; empty if they can."""
+    """Why the motors cannot hold the arm; empty if they can. Such an arm has a proposal, but no spec can use it."""
 
     def code(self) -> dict[str, str]:
         """Values for the templates of a starter package. Texts from the URDF are Python literals."""

@@ -157,6 +157,7 @@ class _MjcfReader:
         yield from self._body(self._base(bodies), "", np.zeros(3), "main")
 
     def _base(self, bodies: Sequence[Element]) -> Element:
+        """The base among the bodies of the world. Raises PluginError if there is not one."""
         if len(bodies) != 1:
             raise self._error(self._root, f"{len(bodies)} bodies in <worldbody>; it needs one, the base")
         return bodies[0]
