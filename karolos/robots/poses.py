@@ -13,7 +13,7 @@ import numpy as np
 from ..core import Array
 from ..core.seeding import SeedTree
 from ..simulation.geometry import Box, Orientations, Quaternion, Vector
-from ..simulation.kinematics import Chain, Pose, downward
+from ..simulation.kinematics import Chain, Pose, Stride, downward
 from ..simulation.urdf import Joint, about
 from .arm import POSTURE_GAIN
 from .model import ArmModel
@@ -130,6 +130,10 @@ class Poses:
         self, joints: Sequence[Joint], tool: tuple[Array, Array], body: Outline, usual_step: float, floor: float = 0.0
     ) -> None:
         self.chain, self.body, self.usual_step = Chain(joints, tool, (0.0, 0.0, -floor)), body, usual_step
+        *others, hand = body.shapes
+        self._shapes = [*others, np.vstack([hand, body.fingers])]
+        self._latest: tuple[tuple[float, ...], list[Array]] = (), []
+        """Joint positions and the points of the links there: most poses are looked at twice."""
         self._joints = [(np.array(one.origin), np.array(one.rotation), one.axis) for one in joints]
         self.length = sum(float(np.linalg.norm(one.origin)) for one in joints[1:]) + float(np.linalg.norm(tool[0]))
         """Length of the arm from its second joint to the tool, in m."""
@@ -209,7 +213,8 @@ class Poses:
         down = box.low[2] < max(self.body.lowest, 0.0) + CLEARANCE
         most = np.diff(self._largest(np.array(tool)), axis=0)[0]
         room = float(np.prod(np.minimum(edges / most, 1.0))) * 0.5 ** ((not free) + (not down))
-        corners = [self._walked(home, place)[0] for place in product(*zip(box.low, box.high, strict=True))]
+        stride = self._stride(home)
+        corners = [self._walked(home, stride, place)[0] for place in product(*zip(box.low, box.high, strict=True))]
         poses = (home, *(tuple(pose.tolist()) for pose in corners))
         return Place(room if edges.min() >= SMALLEST_WORKSPACE else 0.0, home, tool, step, box, poses)
 
@@ -264,13 +269,17 @@ class Poses:
                 return False
         return True
 
-    def _links(self, pose: Sequence[float], shapes: Sequence[Array]) -> list[Array]:
-        """Points (k, 3) of each link, which are given in its own frame, in the base's frame."""
-        place, turn, found = self.chain.base, np.eye(3), []
-        for (origin, rotation, axis), position, points in zip(self._joints, pose, shapes, strict=True):
-            place, turn = place + turn @ origin, turn @ rotation @ about(axis, position)
-            found.append(place + points @ turn.T)
-        return found
+    def _links(self, pose: Sequence[float]) -> list[Array]:
+        """Points (k, 3) of each link in m: the last one with its fingers, then the base."""
+        latest, links = self._latest
+        if latest != tuple(pose):
+            place, turn, links = self.chain.base, np.eye(3), []
+            for (origin, rotation, axis), position, points in zip(self._joints, pose, self._shapes, strict=True):
+                place, turn = place + turn @ origin, turn @ rotation @ about(axis, position)
+                links.append(place + points @ turn.T)
+            links.append(self.body.base + self.chain.base)
+            self._latest = tuple(pose), links
+        return links
 
     def pairs(self, poses: Iterable[Sequence[float]]) -> list[tuple[int, int]]:
         """Pairs of links that are apart in all of these poses, and can collide elsewhere; -1 is the base.
@@ -290,51 +299,33 @@ class Poses:
         self, pose: Sequence[float], pairs: Sequence[tuple[int, int]], distance: float = APART
     ) -> list[tuple[int, int]]:
         """Those of some pairs of links that are further apart than a distance in m in a pose."""
-        *others, hand = self.body.shapes
-        links = self._links(pose, [*others, np.vstack([hand, self.body.fingers])])
-        links.append(self.body.base + self.chain.base)
-        return [(a, b) for a, b in pairs if _apart(links[a], links[b], distance)]
+        links = self._links(pose)
+        middles = [points.mean(0) if len(points) else None for points in links]
+        return [(a, b) for a, b in pairs if _apart((links[a], middles[a]), (links[b], middles[b]), distance)]
 
     def _led(self, pose: Array, target: Pose, rest: Array, steps: int) -> Array:
         """A pose (n,) near this one with the tool there, if inverse kinematics finds one."""
-        for _ in range(steps):
-            at = self.chain.forward(pose.tolist())
-            change = np.array(self.chain.step(at, target, (POSTURE_GAIN * (rest - pose)).tolist()))
-            pose = np.clip(pose + np.clip(change, -0.5, 0.5), self.low, self.high)
-            if np.abs(change).max() < 1e-6:
-                break
-        return pose
+        return self.chain.led(pose.tolist(), target, (self.low, self.high), (rest.tolist(), POSTURE_GAIN), steps)
 
-    def _walked(self, home: Sequence[float], target: Sequence[float]) -> tuple[Array, bool]:
-        """The pose (n,) to which full actions of cartesian control lead the tool from home, and whether it is there.
-
-        A slow arm needs more actions for the same way.
-        """
-        start, usual = self.chain.forward(home).tool, self.usual_step
-        yaw, slower = atan2(start.x[1], start.x[0]), usual / max(self._tool_step(np.array(home)), 1e-3)
-        most = (self.speeds * PERIOD * max(1.0, slower)).tolist()
-        # Plain numbers: for seven joints they take a third of the time of arrays.
-        low, high, joints = self.low.tolist(), self.high.tolist(), list(home)
-        for _ in range(CONTROL_STEPS):
-            at = self.chain.forward(joints)
-            x, y, z = (p + min(max(t - p, -usual), usual) for t, p in zip(target, at.tool.position, strict=True))
-            posture = [POSTURE_GAIN * (rest - now) for rest, now in zip(home, joints, strict=True)]
-            change = self.chain.step(at, downward((x, y, z), yaw), posture)
-            share = max(1.0, *(abs(one) / limit for one, limit in zip(change, most, strict=True)))
-            moved = (now + one / share for now, one in zip(joints, change, strict=True))
-            joints = [min(max(new, least), top) for new, least, top in zip(moved, low, high, strict=True)]
-            if max(map(abs, change)) < 1e-4:
-                break
-        end, pose = self.chain.forward(joints).tool, np.array(joints)
+    def _walked(self, home: Sequence[float], stride: Stride, target: Sequence[float]) -> tuple[Array, bool]:
+        """The pose (n,) to which full actions of cartesian control lead the tool from home, and whether it is there."""
+        pose = self.chain.walked(home, target, (self.low, self.high), stride, CONTROL_STEPS)
+        end = self.chain.forward(pose.tolist()).tool
         there = float(np.linalg.norm(np.subtract(end.position, target))) < ARRIVED and end.z[2] < -1 + 1e-4
         return pose, there and self._clear(pose)
+
+    def _stride(self, home: Sequence[float]) -> Stride:
+        """A full action of cartesian control. A slow arm needs several for the same way: they count as one here."""
+        slower = self.usual_step / max(self._tool_step(np.array(home)), 1e-3)
+        return Stride(self.usual_step, self.speeds * PERIOD * max(1.0, slower), POSTURE_GAIN)
 
     def _clear(self, pose: Array) -> bool:
         """Whether all links except the first are above the floor, and those before the last three above objects on it.
 
         Objects are beyond half of the way from the base to the tool.
         """
-        links = self._links(pose.tolist(), self.body.shapes)
+        *links, hand, _ = self._links(pose.tolist())
+        links.append(hand[: len(self.body.shapes[-1])])  # fingers may touch the floor
         if min(points[:, 2].min(initial=np.inf) for points in links[1:]) < CLEARANCE:
             return False
         x, y, _ = self.chain.forward(pose.tolist()).tool.position
@@ -374,7 +365,7 @@ class Poses:
         start, pairs = np.array(self.chain.forward(home).tool.position), self.pairs([home])
         far = self._apart(home, pairs, FAR)
         pairs = [(one, other) for one, other in pairs if other - one > 2 or (one, other) in far]
-        most = self._largest(start)
+        most, stride = self._largest(start), self._stride(home)
         size = np.zeros((2, 3))
         for faces, fraction in product((((0, 2),), ((0, 1), (1, 1), (0, 0), (1, 0), (1, 2))), (0.2, 0.1, 0.05)):
             growing = [*faces]
@@ -386,7 +377,7 @@ class Poses:
                     for sides in product((0.0, 1.0, 0.5), repeat=3):
                         if reached and sides[axis] == side:
                             place = start + larger[0] + np.array(sides) * (larger[1] - larger[0])
-                            pose, reached = self._walked(home, place.tolist())
+                            pose, reached = self._walked(home, stride, place.tolist())
                             reached = reached and self._apart(pose.tolist(), pairs) == pairs
                     if reached and most[side, axis]:
                         size = larger
@@ -415,15 +406,18 @@ def spanning(points: Array) -> Array:
     return found
 
 
-def _apart(one: Array, other: Array, distance: float = APART) -> bool:
+def _apart(first: tuple[Array, Array | None], second: tuple[Array, Array | None], distance: float = APART) -> bool:
     """Whether the convex hulls of two sets of points are further apart than a distance in m; never for an empty set.
+
+    A set comes with the mean of its points; None: it is empty.
 
     The algorithm of Gilbert, Johnson and Keerthi (IEEE Journal on Robotics and Automation 4, 1988): the point of the
     hulls' difference that is nearest to 0, from at most four of its corners. Each direction shows a plane between them.
     """
-    if not (len(one) and len(other)):
+    (one, middle), (other, end) = first, second
+    if middle is None or end is None:
         return False
-    way, corners = other.mean(0) - one.mean(0), np.zeros((0, 3))
+    way, corners = end - middle, np.zeros((0, 3))
     for _ in range(30):
         nearer = other[(other @ way).argmin()] - one[(one @ way).argmax()]
         length = float(np.linalg.norm(way))

@@ -10,6 +10,8 @@ from ..core.compiled import compiled
 
 POSE = 12
 """Numbers of a pose: the tool's position in m, and the unit vectors x, y, z of its frame."""
+LEAP, STILL, ARRIVED = 0.5, 1e-6, 1e-4
+"""Largest change of a joint in a step of `lead`; changes below which it ends, and `walk`. In rad."""
 
 
 @compiled
@@ -114,3 +116,44 @@ def step(numbers, target, posture, damping, change):
         change[joint] = posture[joint]
         for i in range(6):
             change[joint] += error[i] * rows[joint, i]
+
+
+@compiled
+def lead(base, links, pose, target, rest, gain, damping, low, high, steps):
+    """Change `pose` (n,) step by step until the tool is at `target` (12,); see `Chain.led`."""
+    n = len(pose)
+    numbers, posture, change = np.empty(POSE + 6 * n), np.empty(n), np.empty(n)
+    for _ in range(steps):
+        forward(base, links, pose, numbers)
+        for joint in range(n):
+            posture[joint] = gain * (rest[joint] - pose[joint])
+        step(numbers, target, posture, damping, change)
+        largest = 0.0
+        for joint in range(n):
+            largest = max(largest, abs(change[joint]))
+            moved = pose[joint] + min(max(change[joint], -LEAP), LEAP)
+            pose[joint] = min(max(moved, low[joint]), high[joint])
+        if largest < STILL:
+            break
+
+
+@compiled
+def walk(base, links, pose, target, place, stride, most, gain, damping, low, high, steps):
+    """Lead the tool from `pose` (n,), which it changes, to `place` (3,) by actions; see `Chain.walked`."""
+    n = len(pose)
+    numbers, posture, change, home = np.empty(POSE + 6 * n), np.empty(n), np.empty(n), pose.copy()
+    for _ in range(steps):
+        forward(base, links, pose, numbers)
+        for axis in range(3):
+            target[axis] = numbers[axis] + min(max(place[axis] - numbers[axis], -stride), stride)
+        for joint in range(n):
+            posture[joint] = gain * (home[joint] - pose[joint])
+        step(numbers, target, posture, damping, change)
+        share, largest = 1.0, 0.0
+        for joint in range(n):
+            share = max(share, abs(change[joint]) / most[joint])
+            largest = max(largest, abs(change[joint]))
+        for joint in range(n):
+            pose[joint] = min(max(pose[joint] + change[joint] / share, low[joint]), high[joint])
+        if largest < ARRIVED:
+            break

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from math import cos, sin
+from math import atan2, cos, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +61,25 @@ def _aligned(axis: Vector) -> Array:
     x = np.cross([0.0, 1.0, 0.0] if abs(z[1]) < 0.9 else [1.0, 0.0, 0.0], z)
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(z, x), z])
+
+
+def _numbers(pose: Pose) -> Array:
+    (px, py, pz), (ax, ay, az), (bx, by, bz), (cx, cy, cz) = pose
+    return np.array((px, py, pz, ax, ay, az, bx, by, bz, cx, cy, cz))
+
+
+class Stride(NamedTuple):
+    """How far an action moves: the tool in m along every axis, each joint (n,) in rad; `gain` draws them home."""
+
+    tool: float
+    joints: Array
+    gain: float
+
+
+Posture = tuple[Sequence[float], float]
+"""Preferred joint positions (n,) in rad, and the share of the way to them that a step prefers."""
+Limits = tuple[Array, Array]
+"""Lower and upper limits of the joints, (n,) each, in rad."""
 
 
 class Chain:
@@ -120,11 +139,30 @@ class Chain:
         Args:
             posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
         """
-        (qx, qy, qz), (dx, dy, dz), (ex, ey, ez), (fx, fy, fz) = target
-        wanted = np.array((qx, qy, qz, dx, dy, dz, ex, ey, ez, fx, fy, fz))
         change = np.empty(self.size)
-        self._kernel.step(at.numbers, wanted, self._per_joint(posture), self.damping, change)
+        self._kernel.step(at.numbers, _numbers(target), self._per_joint(posture), self.damping, change)
         return change.tolist()
+
+    def led(self, positions: Sequence[float], target: Pose, limits: Limits, posture: Posture, steps: int) -> Array:
+        """Joint positions (n,) near these with the tool at a pose, if at most so many calls of `step` find any."""
+        pose, (rest, gain) = self._per_joint(positions), posture
+        wanted, preferred = _numbers(target), self._per_joint(rest)
+        self._kernel.lead(self.base, self.links, pose, wanted, preferred, gain, self.damping, *limits, steps)
+        return pose
+
+    def walked(
+        self, home: Sequence[float], place: Sequence[float], limits: Limits, stride: Stride, steps: int
+    ) -> Array:
+        """Joint positions (n,) to which actions lead a tool that points down, from home towards a place in m.
+
+        In each of the steps the tool moves at most by `stride.tool` along every axis, and no joint by more than its
+        `stride.joints`: all are slower then. They are drawn towards home.
+        """
+        pose, at, tool = self._per_joint(home), np.array(place, float), self.forward(home).tool
+        target = _numbers(downward(tool.position, atan2(tool.x[1], tool.x[0])))  # its position changes in each step
+        arguments = self.base, self.links, pose, target, at, stride.tool, stride.joints, stride.gain, self.damping
+        self._kernel.walk(*arguments, *limits, steps)
+        return pose
 
     def _per_joint(self, numbers: Sequence[float]) -> Array:
         """The numbers as an array (n,). Raises ValueError unless there is one number per joint."""

@@ -275,4 +275,4 @@ def test_hulls_are_apart_by_their_true_distance_in_any_direction(gap, apart):
         turned = corners @ rotation.T
         # its lowest corner is there
         above = turned - turned[turned[:, 2].argmin()] + np.array([0.01, 0.02, 0.05 + gap])
-        assert _apart(corners, above) == apart
+        assert _apart((corners, corners.mean(0)), (above, above.mean(0))) == apart
