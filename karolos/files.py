@@ -128,6 +128,11 @@ def file_of(name: str | Path) -> Path:
     return (installed_file(str(name)) if str(name).startswith(INSTALLED) else None) or Path(name)
 
 
+def install_hint(name: str) -> str | None:
+    """What brings the file of a name installed:PACKAGE/PATH; None for a path."""
+    return f"pip install {name.removeprefix(INSTALLED).partition('/')[0]}" if name.startswith(INSTALLED) else None
+
+
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:
     """SHA-256 (hex) of a file or of a folder's source, with all files that are named there; None for anything else.
 

@@ -15,7 +15,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from ..core.settings import LATER
 from ..errors import MachineError, PluginError, UsageError
-from ..files import INSTALLED, fingerprint, user_cache, write_whole, writing
+from ..files import fingerprint, install_hint, user_cache, write_whole, writing
 from ..registry import load
 from ..simulation.geometry import Box, Vector
 from .arm import Arm
@@ -89,9 +89,8 @@ def proposal_of(settings: FromFile.Settings) -> Proposal:
     content = fingerprint(path)
     if content is None:
         hint = "name a URDF or an MJCF file; in a spec relative to it, in an override to the current folder"
-        if settings.file.startswith(INSTALLED):
-            hint = f"pip install {settings.file.removeprefix(INSTALLED).partition('/')[0]}"
-        raise UsageError(f"there is no file {settings.file}", setting="robot.file", hint=hint)
+        what = f"there is no file {settings.file}"
+        raise UsageError(what, setting="robot.file", hint=install_hint(settings.file) or hint)
     plain = path.suffix.lower() not in MJCF and settings.mass is None and not settings.repair
     mounted = str(load("grippers", settings.gripper).model) if settings.gripper else ""
     parts = [content, settings.gripper, mounted, asdict(known), _source(), plain or str(path.parent)]

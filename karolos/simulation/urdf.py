@@ -21,7 +21,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
-from ..files import find_named
+from ..files import find_named, install_hint
 from .geometry import Vector, vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
@@ -156,7 +156,8 @@ def text_of(path: Path) -> str:
             raise PluginError(f"larger than {LONGEST_FILE / 1e6:g} MB", where=str(path))
         return path.read_text("utf-8-sig")
     except OSError as error:
-        raise PluginError(f"cannot be read ({error.strerror})", where=str(path)) from None
+        hint = install_hint(str(path))
+        raise PluginError(f"cannot be read ({error.strerror})", where=str(path), hint=hint) from None
     except UnicodeDecodeError as error:
         line = error.object.count(b"\n", 0, error.start) + 1
         raise PluginError("not in UTF-8", where=f"{path}:{line}", hint="save it as UTF-8") from None

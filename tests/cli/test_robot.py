@@ -36,6 +36,7 @@ def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm
     assert {row["kind"] for row in rows} >= {"assumed", "promise"}
     broken = [row["problem"] for row in rows if row["kind"] == "promise" and not row["kept"]]
     assert (code, broken) == (0, [])
+    assert "read (No such file or directory); pip install arms" in call(app, "check", "installed:arms/one.urdf")[1]
 
 
 def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
