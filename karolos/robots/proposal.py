@@ -25,7 +25,7 @@ from ..simulation import urdf
 from ..simulation.fixtures import hulls
 from ..simulation.geometry import Box, Vector
 from ..simulation.interface import Fingers, Gripper
-from ..simulation.meshes import MESH_SUFFIXES, triangles
+from ..simulation.meshes import LARGEST_NUMBER, MESH_SUFFIXES, triangles
 from ..simulation.urdf import Joint
 from .grippers.parallel import GripperModel
 from .loads import MotorLoads
@@ -327,7 +327,7 @@ def doubts(found: urdf.Description) -> list[str]:
         unit, most, fast, meant = "m", DOUBTED_TRAVEL, DOUBTED_TRAVEL, "millimetres"
         if joint.revolute:
             unit, most, fast, meant = "rad", DOUBTED_ANGLE, DOUBTED_SPEED, "degrees"
-        if (far := max(-joint.lower, joint.upper)) > most:
+        if most < (far := max(-joint.lower, joint.upper)) < LARGEST_NUMBER:
             said[f"to {far:g} {unit}; are these {meant}?"].append(f"joint {joint.name}")
         if joint.revolute and joint.velocity < SLOW:
             said[f"at {joint.velocity:g} rad/s only; compare the data sheet"].append(f"joint {joint.name}")

@@ -244,6 +244,8 @@ class _Source:
     def _numbers(self, element: Element, key: str, count: int, within: str) -> str:
         text, least = element.get(key, ""), _LEAST.get(element.tag, -LARGEST_NUMBER)
         found = numbers(text, least)
+        if found is None and element.tag == "limit" and _NUMBER.fullmatch(text.strip()):  # 1e16: exporters mean none
+            return f"{LARGEST_NUMBER if float(text) > 0 else -LARGEST_NUMBER:g}"
         if found is not None and len(found) == count:
             return " ".join(text.split())
         hint = f"{count} number{'s' * (count > 1)} from {least:g} to {LARGEST_NUMBER:g}"
