@@ -427,11 +427,11 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
         longest = sorted(one for one in chains if len(one) == max(map(len, chains)))
         arm = tuple(one for one, *others in zip(*longest, strict=True) if all(one == other for other in others))
         if len(longest) > 1 and len(longest[0]) - len(arm) > 2:  # shorter branches are fingers
-            first = [joints[one[len(arm)]] for one in longest]
+            first, last = ([joints[one[place]] for one in longest] for place in (len(arm), -1))
             raise PluginError(
                 f"two arms begin here, with joints {', '.join(joint.name for joint in first)}",
                 where=f"{path}: link {first[0].parent}",
-                hint="choose one with --tool LINK, a link at its end",
+                hint=f"choose one by a link at its end: {' or '.join(f'--tool {joint.child}' for joint in last)}",
             )
     for name in arm:
         if joints[name].mimic is not None:
