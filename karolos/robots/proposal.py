@@ -256,7 +256,7 @@ def _read(
         if joint.mimic is None or joint.mimic in moving
     }
     found = urdf.load(path, tuple(sorted(locked.items())), slides, without=without)
-    return found, locked, [joint.name for joint in still], beyond
+    return found, locked, [*found.stopped, *(joint.name for joint in still)], beyond
 
 
 class _Site:

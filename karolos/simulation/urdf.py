@@ -125,6 +125,8 @@ class Description:
     """Link of the file -> its translation (3,) and rotation (3, 3) in the frame of its carrier."""
     corrected: tuple[str, ...] = ()
     """Links with an impossible inertia: their smaller principal moments are raised to possible values."""
+    stopped: tuple[str, ...] = ()
+    """Joints that move in a plane or freely in the file, and not here."""
 
 
 def rotation_matrix(roll: float, pitch: float, yaw: float) -> Array:
@@ -195,6 +197,8 @@ class _Source:
         root, lines = parse(path, text)
         self.places = {element: f"{path}:{line}" for element, line in lines.items()}
         """Place (file:line) of each element."""
+        self.stopped: list[str] = []
+        """Joints that move in a plane or freely."""
         if any(element.tag.partition("}")[0].endswith("/xacro") for element in root):  # whichever address ROS had
             hint = f"`karolos robot check {path.name} --repair robot.urdf` expands them"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
@@ -228,6 +232,8 @@ class _Source:
             elif parts[key] > 1 and known[-1] != "*":
                 raise self.error(element, f"{parts[key]} elements <{key}> instead of one", within)
         for part in element:
+            if part.tag == "color" and len(numbers(part.get("rgba", "")) or ()) != 4:
+                continue  # a colour is no reason to refuse an arm
             if part.tag in _KNOWN[tag].replace("*", "").split():
                 made.append(self._checked(part, "" if tag == "robot" else f"{within}: "))
         if tag in ("visual", "collision") and len(made.findall("geometry/*")) != 1:
@@ -353,7 +359,7 @@ def _load(
             name = link.get("name", "")
             if _check_link(link, source, base=name == root, least=FINGER_MASS if name in fingers else 0.0):
                 corrected.append(name)
-    return Description(robot, tuple(found), carriers, frames, tuple(corrected))
+    return Description(robot, tuple(found), carriers, frames, tuple(corrected), tuple(source.stopped))
 
 
 def _cut(
@@ -429,6 +435,9 @@ def _tree(source: _Source) -> list[Element]:
     elements = source.robot.findall("joint")
     for element in elements:
         kind, ends = element.get("type"), (link_of(element, "parent"), link_of(element, "child"))
+        if kind in {"planar", "floating"}:  # of a mobile base: the arm stands still on it
+            source.stopped.append(element.get("name", ""))
+            element.set("type", kind := "fixed")
         if kind not in {"revolute", "continuous", "prismatic", "fixed"}:
             raise source.error(element, f"a {kind} joint", hint="joints are revolute, continuous, prismatic or fixed")
         if element.find("parent") is None or element.find("child") is None:

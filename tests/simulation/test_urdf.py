@@ -16,6 +16,7 @@ from karolos.simulation.parts import Mechanism
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'
 BALL = '<geometry><sphere radius="1"/></geometry>'
+COLOUR = '<material name="red"><color rgba="1 0 0 1 1"/></material>'
 A, B = '<link name="a"/>', f'<link name="b">{BODY}</link>'
 MESH = '<visual><geometry><mesh filename="package://x/arm.stl"/></geometry></visual></link>'
 angles = st.floats(-3.1, 3.1)
@@ -80,6 +81,13 @@ def turning(name: str, parent: str, child: str, more: str = LIMIT) -> str:
     return f'<joint name="{name}" type="revolute"><parent link="{parent}"/><child link="{child}"/>{more}</joint>'
 
 
+def test_the_base_of_a_mobile_robot_stands_still_and_a_wrong_colour_is_left_out(tmp_path):
+    path = tmp_path / "robot.urdf"
+    path.write_text(robot(A, '<link name="b"/>', turning("j", "a", "b").replace("revolute", "planar"), COLOUR))
+    found = urdf.load(path)
+    assert (found.stopped, found.joints, found.robot.find("material/color")) == (("j",), (), None)
+
+
 J = turning("j", "a", "b")
 LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
 
@@ -92,7 +100,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
         ("<house/>", "not a URDF"),
         ('<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
         ('<robot xmlns:x="http://wiki.ros.org/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
-        (robot(A, '<joint name="j" type="floating"/>'), "joint j: a floating joint"),
+        (robot(A, '<joint name="j" type="screw"/>'), "joint j: a screw joint"),
         (robot(A, '<joint name="j" type="revolute"/>'), "joint j: a joint without parent or child"),
         (robot(A, J), "joint j: there is no link 'b'"),
         (robot(A, A), "link a: two of this name"),
