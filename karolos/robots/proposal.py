@@ -49,6 +49,8 @@ TOOL_NAMES = tuple(
 """Names of frames that may be the tool, the best first."""
 PARALLEL = 0.99
 """Cosine of the largest angle between two directions that count as the same."""
+LEAST_JOINTS = 5
+"""Least number of turning joints of an arm: with fewer it cannot point its tool down at any place."""
 DOUBTED_SPEED, DOUBTED_ANGLE, DOUBTED_TRAVEL = 2 * pi, 4 * pi, 2.0
 """Largest plausible limits of joints: speed in rad/s, angle in rad, speed in m/s or range in m of a slide."""
 SLOW = 0.4
@@ -426,7 +428,8 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
         chains = {chain(link) for link in found.carriers.values()}
         longest = sorted(one for one in chains if len(one) == max(map(len, chains)))
         arm = tuple(one for one, *others in zip(*longest, strict=True) if all(one == other for other in others))
-        if len(longest) > 1 and len(longest[0]) - len(arm) > 2:  # shorter branches are fingers
+        # Shorter branches are fingers, and so are all behind an arm.
+        if len(longest) > 1 and len(longest[0]) - len(arm) > 2 and len(arm) < LEAST_JOINTS:
             first, last = ([joints[one[place]] for one in longest] for place in (len(arm), -1))
             raise PluginError(
                 f"two arms begin here, with joints {', '.join(joint.name for joint in first)}",
@@ -437,7 +440,7 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
         if joints[name].mimic is not None:
             what = f"it mimics {joints[name].mimic}; karolos drives every joint of an arm by itself"
             raise PluginError(what, where=f"{path}: joint {name}")
-    if len(arm) < 5:
+    if len(arm) < LEAST_JOINTS:
         raise PluginError(
             f"the arm has only {len(arm)} turning joints ({', '.join(arm) or 'none'})",
             where=str(path),

@@ -109,6 +109,18 @@ def test_a_package_takes_the_meshes_alone_and_no_file_that_they_name(path, tmp_p
         write_starter("robot", "mine", tmp_path / "mine", urdf=path)
 
 
+def test_a_hand_whose_fingers_have_many_joints_is_no_second_arm(path):
+    ends = [(f"{name}{place}", f"{name}{place - 1}" if place else "link6") for name in "ab" for place in range(3)]
+    fingers = [
+        f'<link name="{link}"><inertial><mass value="0.1"/><inertia ixx="1" iyy="1" izz="1"/></inertial></link>'
+        f'<joint name="to_{link}" type="revolute"><parent link="{above}"/><child link="{link}"/><axis xyz="0 1 0"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        for link, above in ends
+    ]
+    path.write_text(path.read_text().replace("</robot>", f"{''.join(fingers)}</robot>"))
+    assert f"arm: {', '.join(f'joint{place}' for place in range(1, 7))}" in propose(path, "robotiq_2f85").notes
+
+
 def test_of_two_arms_one_is_chosen_by_its_tool(path):
     whole = path.read_text()
     first = whole.index('<link name="link1">')
