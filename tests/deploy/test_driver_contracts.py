@@ -135,5 +135,6 @@ def test_a_driver_that_keeps_every_promise_passes(whole, monkeypatch):
 
 @pytest.mark.parametrize("driver", BROKEN, ids=lambda one: one.__name__)
 def test_a_broken_promise_is_named_in_a_line(driver, whole, monkeypatch):
+    monkeypatch.setattr(contracts, "PROMISES", [getattr(contracts, BROKEN[driver].partition(":")[0])])
     found = broken(driver, whole, monkeypatch)
     assert any(line.startswith(BROKEN[driver]) for line in found.splitlines()), found

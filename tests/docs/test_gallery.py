@@ -24,6 +24,7 @@ def test_success_in_a_page_is_that_of_the_final_episodes_of_its_runs(tmp_path, m
         return drawn()
 
     monkeypatch.setitem(pages["gallery"].__globals__, "learning", draw_once)
+    monkeypatch.setattr(Drawing, "save", lambda *_: None)  # tests/report writes figures
     written = pages["gallery"](tmp_path)
     assert len(written) == 1 + 3 * len(pages["TASKS"]), "an overview, and a page per task and robot"
     ends: dict[str, list[float]] = {}

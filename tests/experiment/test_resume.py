@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.rig import ENGINES
 from support.run_samples import stored
 from support.states import assert_same_runs
 
@@ -104,13 +103,13 @@ def test_run_in_two_processes_that_is_stopped_and_resumed_equals_one_without_a_b
         assert [test.steps for test in stored(store, again.runs[0].run).tests] == [100, 200, 240]
 
 
-@pytest.mark.parametrize("engine", ENGINES)
-def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(engine, tmp_path, monkeypatch):
+def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.launchers.experiment.cores", lambda: 1)  # test_pending_tests has a process for tests
     spec = BASE | {
-        "environment": {"name": "robot_task", "engine": engine},
+        "environment": "robot_task",
         "robot": "panda",
         "task": {"name": "pick_place", "start_grasped": 0.5, "max_steps": 12},
+        "training": BASE["training"] | {"steps": 140, "replay_ratio": 1},
         "testing": {"interval": 100, "episodes": 2, "final_episodes": 0},
         "randomization": {"task.object_mass": {"name": "uniform", "low": 0.05, "high": 0.3}},
         "agent": SAC,

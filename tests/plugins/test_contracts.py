@@ -29,7 +29,7 @@ ANYWHERE = {
     environments.a_step_stays_as_it_was_returned,
     environments.closing_twice_is_safe,
 }
-"""What no pair changes: the usual robot shows it with each task, and each robot with the usual task."""
+"""What no pair and no engine changes: the usual robot shows it with each task, and each robot with the usual task."""
 
 
 def promises_alone() -> Iterator[tuple[str, Promises]]:
@@ -41,15 +41,10 @@ def promises_alone() -> Iterator[tuple[str, Promises]]:
                 yield f"{kind}-{name}", partial(cases, candidate(kind, name), alone=True)
     for name, settings in DISTRIBUTIONS.items():
         yield f"distributions-{name}", partial(cases, candidate("distributions", name, **settings))
-    for robot in ROBOTS if BULLET.installed else ():
-        yield f"robots-{robot}-bullet", partial(in_bullet, robot)
-
-
-def in_bullet(robot: str) -> Iterator[Case]:
-    """Promises of a robot in PyBullet: pose control, which differs from cartesian by kinematics, of the usual one."""
-    for case in cases(candidate("robots", robot, "bullet"), alone=True):
-        if robot == USUAL["robots"] or case.candidates[0].settings.get("control") != "pose":
-            yield case
+    if BULLET.installed:
+        # other robots: `karolos plugins check robot NAME --engine bullet`
+        usual = candidate("robots", USUAL["robots"], BULLET.name)
+        yield f"robots-{usual.name}-bullet", partial(cases, usual, alone=True)
 
 
 def promises_of_pairs() -> Iterator[tuple[str, Promises]]:
@@ -65,7 +60,7 @@ def of_usual_pair(robot: str, task: str, engine: str | None = None) -> Iterator[
     """Promises of a pair under the control that its task asks for; of usual ones in MuJoCo all."""
     usual = not engine and (robot == USUAL["robots"] or task == USUAL["tasks"])
     for case in of_pair(candidate("robots", robot, engine), candidate("tasks", task)):
-        if usual or (in_control_of(task, case) and (engine or case.promise not in ANYWHERE)):
+        if usual or (in_control_of(task, case) and case.promise not in ANYWHERE):
             yield case
 
 
@@ -80,9 +75,9 @@ PROMISES = dict([*promises_alone(), *promises_of_pairs()])
 
 @pytest.mark.parametrize("who", PROMISES)
 def test_every_promise_is_kept(who, monkeypatch):
-    # `karolos plugins check` plays twice as many; bench/ plays hundreds
-    monkeypatch.setattr(pairs, "EPISODES", 5)
-    monkeypatch.setattr(pairs, "CHANCE_EPISODES", 2)
+    # `karolos plugins check` plays twice as many and begins six times as many; bench/ plays hundreds
+    for module, name, number in (pairs, "EPISODES", 5), (pairs, "CHANCE_EPISODES", 2), (environments, "STARTS", 50):
+        monkeypatch.setattr(module, name, number)
     found = list(results(PROMISES[who]()))
     assert found
     assert [f"{case}: {problem}" for case, problem in found if problem is not None] == []

@@ -27,7 +27,7 @@ from pathlib import Path
 from threading import Lock
 from typing import Any
 
-MODULES = ("karolos.experiment.process", "karolos_cli")
+MODULES = ("karolos.experiment.process", "karolos_cli", "karolos.export.simulated_robot")
 """Commands: `python -m MODULE`."""
 FORKS = "# forks\n"
 """First line of code of a test: `python -c CODE` or `python FILE`."""
