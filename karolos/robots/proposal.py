@@ -432,7 +432,7 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
         if len(longest) > 1 and len(longest[0]) - len(arm) > 2 and len(arm) < LEAST_JOINTS:
             first, last = ([joints[one[place]] for one in longest] for place in (len(arm), -1))
             raise PluginError(
-                f"two arms begin here, with joints {', '.join(joint.name for joint in first)}",
+                f"{len(longest)} arms begin here, with joints {', '.join(joint.name for joint in first)}",
                 where=f"{path}: link {first[0].parent}",
                 hint=f"choose one by a link at its end: {' or '.join(f'--tool {joint.child}' for joint in last)}",
             )
@@ -442,7 +442,7 @@ def _arm(found: urdf.Description, path: Path, tool: str | None) -> list[Joint]:
             raise PluginError(what, where=f"{path}: joint {name}")
     if len(arm) < LEAST_JOINTS:
         raise PluginError(
-            f"the arm has only {len(arm)} turning joints ({', '.join(arm) or 'none'})",
+            f"the arm has only {len(arm)} turning joint{'s' * (len(arm) != 1)} ({', '.join(arm) or 'none'})",
             where=str(path),
             hint="with five or more it can point its tool down at any place; --tool LINK chooses its end",
         )
