@@ -10,6 +10,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure
 from ..core.parameters import Drawn, Probability
+from ..core.settings import LATER
 from ..errors import UsageError
 from ..simulation.geometry import Vector
 from ..simulation.interface import FLOOR_FRICTION, GRAVITY, Box, Camera, Cup, RobotView, World
@@ -39,18 +40,21 @@ class Rest(PointGoal):
     """Success if the puck lies at rest, untouched, less than `threshold` m from the target.
 
     `achieved` (..., 3): the place of rest of an untouched puck (2, m), and 1 if it lies there. `desired` (..., 2): the
-    target in m. Sparse reward: 0 as soon as the place of rest is within `reward_share` of the threshold, else -1.
-    Dense: minus the distance. A reward for lying there would come long after the last touch. A reward up to the
-    threshold would teach to stop at the edge.
+    target in m. Sparse reward: -1 until the place of rest is within `reward_share` of the threshold, and from there it
+    rises from -`slope` to 0 at the target. Dense: minus the distance. A reward for lying there would come long after
+    the last touch. Without a slope policies stop at the edge, which they reach first.
     """
 
-    def __init__(self, threshold: float, *, dense: bool, span: float, reward_share: float) -> None:
+    def __init__(self, threshold: float, *, dense: bool, span: float, reward_share: float, slope: float = 0) -> None:
         super().__init__(threshold, dense=dense, span=span)
-        self._near = reward_share * threshold
+        self._near, self._slope = reward_share * threshold, slope
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         metres = self.distance(achieved, desired)
-        return -metres if self.dense else -np.asarray(metres >= self._near, np.float32)
+        if self.dense:
+            return -metres
+        share = metres / self._near
+        return -np.where(share < 1, self._slope * share, 1).astype(np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         return (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
@@ -90,7 +94,7 @@ class Slide(CubeTask):
     Action: the robot's, without the gripper.
     Goals: achieved, where the puck comes to rest if nothing touches it any more (2, m), and whether it lies there (1);
     desired, the target (2, m).
-    Reward: sparse -1, and 0 while the place of rest is within `reward_share` of the threshold; dense minus its
+    Reward: sparse -1, and more while the place of rest is within `reward_share` of the threshold; dense minus its
     distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
     Termination: never; the episode is truncated after `max_steps`, with probability `end_out_of_reach` already when the
@@ -111,6 +115,13 @@ class Slide(CubeTask):
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
         reward_share: float = Setting(
             1.0, gt=0, le=1, description="the sparse reward counts within this share of the threshold"
+        )
+        reward_slope: float = Setting(
+            0.0,
+            ge=0,
+            le=1,
+            json_schema_extra=LATER,
+            description="the sparse reward is 0 at the target, and minus this at the edge of that share",
         )
         share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
@@ -168,7 +179,8 @@ class Slide(CubeTask):
         """Largest observed coordinate in m. Networks scale inputs by their spread, and a puck can slide 20 m."""
         span = 3 * self.sight
         dense = settings.reward == "dense"
-        self.goal_rule = Rest(settings.threshold, dense=dense, span=span, reward_share=settings.reward_share)
+        shares = {"reward_share": settings.reward_share, "slope": settings.reward_slope}
+        self.goal_rule = Rest(settings.threshold, dense=dense, span=span, **shares)
 
     @property
     def deceleration(self) -> float:

@@ -165,6 +165,8 @@ def test_a_slide_may_succeed_where_it_is_not_rewarded():
     achieved = np.array([[0.03, 0, 1], [0.04, 0, 1], [0.06, 0, 1], [0.03, 0, 0]], np.float32)
     target = np.zeros((4, 2), np.float32)
     assert rule.reward(achieved, target).tolist() == [0, -1, -1, 0]
+    sloped = Rest(0.05, dense=False, span=1.0, reward_share=0.7, slope=0.35)
+    np.testing.assert_allclose(sloped.reward(achieved, target), [-0.3, -1, -1, -0.3], rtol=1e-5)
     assert rule.success(achieved, target).tolist() == [True, True, False, False]
 
 
