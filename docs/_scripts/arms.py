@@ -128,6 +128,8 @@ def measure(arm: str, gripper: str, episodes: int, policies: Sequence[str]) -> N
         for policy in policies:
             run = FOLDER / policy
             score = refused(run, episodes, unfit) if unfit else score_policy(run, overrides, episodes)
+            if "has no gripper" in (score.refused or ""):
+                return  # the file has no fingers of its own
             keep(arm, gripper, policy, score)
 
 

@@ -193,8 +193,11 @@ class Insert(Task):
         if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):
             what = "these actions do not turn the tool, and the hole is turned"
             raise UsageError(what, setting="robot.control", hint="set robot.control: impedance, or task.shape: round")
-        x, y, _ = robot.workspace.centre
-        self.middle = x, y
+        box, inserted = robot.workspace, TOP - DEPTH + PEG_LENGTH / 2 + GRIP
+        if not box.low[2] <= inserted <= box.high[2]:
+            what = f"the tool cannot be {inserted:g} m above the floor, where the peg is in the hole"
+            raise UsageError(what, setting="task", hint=f"its workspace is {box.low[2]:g} to {box.high[2]:g} m high")
+        self.middle = box.centre[:2]
 
     def build(self, world: World) -> None:
         self.world = world

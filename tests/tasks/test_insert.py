@@ -1,6 +1,7 @@
 """Insertion: starts, what is known of the hole, force, and that the hole is as wide as it says."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from support.rig import ENGINES, ROBOTS, expert_episode, made, part, values, wor
 
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.simulation.geometry import rotated
+from karolos.simulation.geometry import Box, rotated
 from karolos.tasks.insert import TOP, Insert, block, peg
 
 COLOUR = (1.0, 1.0, 1.0, 1.0)
@@ -112,6 +113,15 @@ def test_a_square_peg_needs_actions_that_turn_the_tool():
     with pytest.raises(UsageError, match=r"^robot.control: these actions do not turn the tool[^\n]*$"):
         made("insert", arm=arm)
     made("insert", arm=arm, shape="round")
+
+
+def test_an_arm_that_does_not_get_down_to_the_hole_is_refused():
+    robot = made("insert").robot
+    box = robot.workspace
+    low = Box((*box.low[:2], 0.1), box.high)
+    view = SimpleNamespace(**{name: getattr(robot, name) for name in ("gripper", "orientations")}, workspace=low)
+    with pytest.raises(UsageError, match=r"^task: the tool cannot be 0.055 m above the floor, where the peg is"):
+        Insert(Insert.Settings()).fit(view)
 
 
 @pytest.mark.parametrize("engine", ENGINES)
