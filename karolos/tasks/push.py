@@ -71,14 +71,24 @@ class Push(PointGoalTask, CubeTask):
         return PushExpert(self._robot, self, self.settings.threshold)
 
 
-def near_start(robot: RobotView, cube: Vector, generator: Generator, angles: tuple[float, float] = (-pi, pi)) -> Vector:
+def near_start(
+    robot: RobotView,
+    cube: Vector,
+    generator: Generator,
+    angles: tuple[float, float] = (-pi, pi),
+    distances: tuple[float, float] = NEAR_DISTANCES,
+    height: float = NEAR_HEIGHT,
+) -> Vector:
     """A random position of the tool near the cube, within the workspace, at which it does not touch the cube.
 
-    `angles`: range in rad of its direction from the cube, from the x axis.
+    Args:
+        angles: range in rad of its direction from the cube, from the x axis.
+        distances: range in m of its distance along the floor.
+        height: largest one in m above the floor. Half of the positions are on the floor.
     """
     (x, y, _), box = cube, robot.workspace
-    angle, distance = generator.uniform(*angles), generator.uniform(*NEAR_DISTANCES)
-    above = max(0.0, generator.uniform(-NEAR_HEIGHT, NEAR_HEIGHT))
+    angle, distance = generator.uniform(*angles), generator.uniform(*distances)
+    above = max(0.0, generator.uniform(-height, height))
     return (
         min(max(x + distance * cos(angle), box.low[0]), box.high[0]),
         min(max(y + distance * sin(angle), box.low[1]), box.high[1]),

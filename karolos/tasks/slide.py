@@ -17,7 +17,7 @@ from ..simulation.interface import FLOOR_FRICTION, GRAVITY, Box, Camera, Cup, Ro
 from ..simulation.shapes import Cylinder, Shape
 from .cube import FIELDS, Cube, CubeSettings, CubeTask, aligned, check_pads, ground
 from .point_goal import GOAL_COLOUR, PointGoal, sample_position
-from .push import PUSHING_CLEARANCE, PushExpert, near_start
+from .push import NEAR_DISTANCES, NEAR_HEIGHT, PUSHING_CLEARANCE, PushExpert, near_start
 from .settings import drawn_stage, start
 
 ROOM_BEHIND = 0.12
@@ -32,6 +32,9 @@ BEYOND = 0.08
 """Distance in m outside the workspace beyond which no gripper touches the puck."""
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
+HELD = 0.1, (0.035, 0.05), 0.0
+"""The same of a start with the puck between the fingers, its distances from the tool along the floor in m, and the
+largest height of the tool in m. The expert pushes from 33 mm."""
 LOST_PUCK = 1000.0
 """Distance in m from the origin beyond which a puck is lost. After a hard hit it slides over 10 m without an error."""
 
@@ -85,8 +88,8 @@ class Slide(CubeTask):
 
     What is randomised: the puck, in the near half of the workspace within 10 cm to either side; the target: within
     `sector` degrees to either side of straight ahead, beyond the arm's reach by at least `threshold`, and from there at
-    most the fraction `share` of the way to the furthest slide. With probability `start_near` an episode begins with
-    the gripper behind the puck; training may sample this parameter.
+    most the fraction `share` of the way to the furthest slide. Stages that training may sample and tests never do:
+    `start_held` (puck between the fingers) and, in the other episodes, `start_near` (gripper behind the puck).
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),
     object_angular_velocity (3, rad/s), object_from_tool (3, m), rest (2, m): where the puck would come to rest
@@ -125,6 +128,7 @@ class Slide(CubeTask):
         )
         share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
+        start_held: Probability = start("the puck between the fingers")
         start_near: Probability = start("the gripper behind the puck")
         end_out_of_reach: Probability = Setting(
             0.0, description="probability that an episode ends as soon as no gripper can reach the puck"
@@ -201,10 +205,12 @@ class Slide(CubeTask):
 
     def reset(self, generator: Generator) -> None:
         x, y, z = sample_position(generator, self.starts, "the puck").tolist()
-        self.stage = drawn_stage(self.drawn, generator.uniform(), "near")
+        self.stage = drawn_stage(self.drawn, generator.uniform(), "held", "near")
         if self.stage:
             behind = atan2(-self.ahead[1], -self.ahead[0])
-            tool = near_start(self._robot, (x, y, z), generator, (behind - BEHIND, behind + BEHIND))
+            aside, distances, above = HELD if self.stage == "held" else (BEHIND, NEAR_DISTANCES, NEAR_HEIGHT)
+            ways = behind - aside, behind + aside
+            tool = near_start(self._robot, (x, y, z), generator, ways, distances, above)
             self.cube.place_with_tool(self._robot, (x, y, z), tool, 0.0)
         else:
             self.cube.place((x, y, z), aligned(self._robot))
