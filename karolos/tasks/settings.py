@@ -14,9 +14,11 @@ from ..simulation.geometry import Vector
 from ..simulation.interface import RobotView
 
 
-def start(how: str) -> Any:
-    """The setting of a stage, of the type `Probability`."""
-    return Setting(0.0, description=f"probability that an episode starts with {how}, if it has no earlier stage")
+def start(how: str, **more: Any) -> Any:
+    """The setting of a stage, of the type `Probability`; `more` goes to pydantic's Field."""
+    return Setting(
+        0.0, description=f"probability that an episode starts with {how}, if it has no earlier stage", **more
+    )
 
 
 def drawn_stage(drawn: Settings, draw: float, *stages: str) -> str | None:

@@ -128,7 +128,7 @@ class Slide(CubeTask):
         )
         share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
         sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
-        start_held: Probability = start("the puck between the fingers")
+        start_held: Probability = start("the puck between the fingers", json_schema_extra=LATER)
         start_near: Probability = start("the gripper behind the puck")
         end_out_of_reach: Probability = Setting(
             0.0, description="probability that an episode ends as soon as no gripper can reach the puck"
