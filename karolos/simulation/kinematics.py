@@ -144,7 +144,10 @@ class Chain:
         return change.tolist()
 
     def led(self, positions: Sequence[float], target: Pose, limits: Limits, posture: Posture, steps: int) -> Array:
-        """Joint positions (n,) near these with the tool at a pose, if at most so many calls of `step` find any."""
+        """Joint positions (n,) in rad with the tool at a pose, by at most `steps` calls of `step` from `positions`.
+
+        If they do not get there, the last positions are returned: look where the tool is.
+        """
         pose, (rest, gain) = self._per_joint(positions), posture
         wanted, preferred = _numbers(target), self._per_joint(rest)
         self._kernel.lead(self.base, self.links, pose, wanted, preferred, gain, self.damping, *limits, steps)

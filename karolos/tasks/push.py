@@ -79,12 +79,12 @@ def near_start(
     distances: tuple[float, float] = NEAR_DISTANCES,
     height: float = NEAR_HEIGHT,
 ) -> Vector:
-    """A random position of the tool near the cube, within the workspace, at which it does not touch the cube.
+    """A random position (x, y, z) of the tool in m, near the cube and within the workspace.
 
     Args:
         angles: range in rad of its direction from the cube, from the x axis.
-        distances: range in m of its distance along the floor.
-        height: largest one in m above the floor. Half of the positions are on the floor.
+        distances: range in m of its distance along the floor. At the usual ones it does not touch the cube.
+        height: largest height in m above the floor. Half of the positions are on the floor.
     """
     (x, y, _), box = cube, robot.workspace
     angle, distance = generator.uniform(*angles), generator.uniform(*distances)

@@ -33,8 +33,8 @@ BEYOND = 0.08
 BEHIND = pi / 4
 """Largest angle in rad between straight behind the puck and a start near it."""
 HELD = 0.1, (0.035, 0.05), 0.0
-"""The same of a start with the puck between the fingers, its distances from the tool along the floor in m, and the
-largest height of the tool in m. The expert pushes from 33 mm."""
+"""Of a start with the puck between the fingers: that angle in rad, range of the distance from tool to puck along the
+floor in m, and largest height of the tool in m. The expert pushes from 33 mm."""
 LOST_PUCK = 1000.0
 """Distance in m from the origin beyond which a puck is lost. After a hard hit it slides over 10 m without an error."""
 
