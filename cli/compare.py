@@ -115,8 +115,8 @@ def compare(
         print_rows(comparison.rows(), json=True)
     else:
         _print_comparison(comparison)
-    from karolos.files import write_whole
     from karolos.report.tables import comparison_file
+    from karolos.system.files import write_whole
 
     for path in table or ():
         write_whole(path, comparison_file(comparison, path.suffix))

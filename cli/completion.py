@@ -11,7 +11,7 @@ from pathlib import Path
 import typer
 
 import karolos
-from karolos.files import SPECS
+from karolos.system.files import SPECS
 
 PACKAGE = Path(karolos.__file__).parent
 PARTS = ("robot", "task", "environment", "agent", "buffer", "orchestrator", "launcher")

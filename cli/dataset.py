@@ -59,9 +59,9 @@ def dataset(
     from karolos.core.seeding import SeedTree
     from karolos.evaluation.changed_spec import changed_spec, engine_note
     from karolos.evaluation.policies import load_agent
-    from karolos.files import write_whole
     from karolos.recordings.card import card
     from karolos.recordings.recording import RecordingFolder
+    from karolos.system.files import write_whole
 
     chosen = {
         "episodes": episodes,

@@ -52,8 +52,8 @@ def check(
     Exit code 3 if the file cannot be used as it is, or if a promise is broken. With --repair karolos writes a copy:
     masses from convex hulls, torques from gravity, meshes found elsewhere. The copy lists each change.
     """
-    from karolos.files import file_of
     from karolos.plugins.robot_check import check_file
+    from karolos.system.files import file_of
 
     known = {"gripper": gripper, "tool": tool, "flange": flange}
     wrong = kept = 0
@@ -112,7 +112,6 @@ def score(
     cannot be used as it is gets repaired in a copy. Several robots get a folder each, and one table. Results are kept
     like those of `karolos test`.
     """
-    from karolos.files import write_json, writing
     from karolos.plans.robot_score import (
         arms_table,
         kept_scores,
@@ -124,6 +123,7 @@ def score(
         write_score_page,
     )
     from karolos.registry import names
+    from karolos.system.files import write_json, writing
 
     robots = robots or []
     if listed:

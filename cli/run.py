@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
-from karolos.files import writing
 from karolos.system import detached
+from karolos.system.files import writing
 
 from .arguments import (
     Database,

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import UsageError
-from karolos.files import writing
 from karolos.report.tables import (
     Table,
     csv_text,
@@ -27,6 +26,7 @@ from karolos.report.tables import (
     stages_table,
     transfers_table,
 )
+from karolos.system.files import writing
 
 from .arguments import (
     FILTER_HELP,
@@ -191,8 +191,8 @@ def _watch(runs: Path) -> None:
     """Print a table of waiting and running runs, with machine and progress, until there are none."""
     from rich.console import Console
 
-    from karolos.files import read_object
     from karolos.records import RunFolder, scan
+    from karolos.system.files import read_object
 
     while True:
         rows = []
@@ -363,7 +363,7 @@ def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> N
 
     The command waits until the run has stopped. After Ctrl-C the run still stops, without the waiting.
     """
-    from karolos.files import write_whole
+    from karolos.system.files import write_whole
 
     folder = open_run(run, runs, database)
     if (state := folder.summary().state) != "running":

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from karolos.errors import UsageError
-from karolos.files import write_whole
+from karolos.system.files import write_whole
 
 from .arguments import Json, Overrides, SpecFile, check_file
 from .completion import complete_spec

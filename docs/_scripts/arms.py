@@ -20,13 +20,13 @@ from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 from karolos.errors import KarolosError, without_folders
-from karolos.files import installed_file
 from karolos.plans.robot_score import PolicyScore, file_overrides, refused, score_policy
 from karolos.records.provenance import versions
 from karolos.records.shipped import FOLDER
 from karolos.robots.repair import XACRO, Repair
+from karolos.system.files import installed_file
 
-ROWS = Path(__file__).parents[1] / "arms.jsonl"
+ROWS = Path(__file__).parents[2] / "runs" / "reference" / "arms.jsonl"
 """A line for each policy on an arm with a gripper. Of several, the last one counts."""
 TABLE = ROWS.with_suffix(".csv")
 GRIPPERS = {"robotiq_2f85": "2F-85", "franka_hand": "Franka hand", "own": "own fingers"}

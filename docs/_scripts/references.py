@@ -24,13 +24,13 @@ from karolos.comparison import Contender, Estimate, compare, gather
 from karolos.comparison.reaching import median_reaching
 from karolos.errors import KarolosError
 from karolos.export.export import export_policy
-from karolos.files import write_json
 from karolos.plans.matrix import Matrix
 from karolos.records import RunFolder, paths, shipped
 from karolos.records.decode import from_json
 from karolos.report.tables import count, duration, estimate
 from karolos.specification import Spec, load_spec, spec_from_dict
 from karolos.store import Store, reindex
+from karolos.system.files import write_json
 
 ROOT = Path(__file__).parents[2]
 REFERENCE = ROOT / "runs" / "reference"

@@ -22,7 +22,7 @@ from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCa
 from numba.core.dispatcher import Dispatcher
 
 from ..errors import MachineError
-from ..files import FileLock, user_cache
+from ..system.files import FileLock, user_cache
 
 VARIABLE = "KAROLOS_CACHE"
 """Environment variable with the folder of compiled functions."""

@@ -1,1 +1,1 @@
-"""Environments: robots with tasks, gymnasium in both directions, toys."""
+"""Environments: robots with tasks and their randomization, gymnasium in both directions, toys."""

@@ -17,10 +17,10 @@ from pydantic import ValidationError
 from ..core import Array, Environment, Expert, Field, FloatArray, Layout, SeedTree, Signature, Step, layout_differences
 from ..core.environment import close
 from ..errors import PluginError, UsageError
-from ..randomization.distributions import Choice
 from ..registry import blaming
 from ..simulation.engines import ENGINES, PhysicsEngine
 from ..specification.parts import Part, Recipe, validate_strictly
+from .distributions import Choice
 from .robot_task import RobotTask
 
 

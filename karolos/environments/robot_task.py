@@ -16,12 +16,12 @@ from ..core import Array, Environment, Expert, FloatArray, GoalRule, Layout, Mea
 from ..core import Settings as BaseSettings
 from ..core.environment import STAGE
 from ..errors import PluginError, UsageError
-from ..randomization.distributions import Distribution
-from ..randomization.randomization import Randomization
 from ..simulation.engines import ENGINES, Engine, make_world
 from ..simulation.geometry import rotated
 from ..simulation.interface import PHYSICS_RATE, Camera, Robot, Stroke, Task, TaskNeeds, World
 from .action_set import ActionSet, action_index
+from .distributions import Distribution
+from .randomization import Randomization
 
 TIME_TO_SUCCESS = Measure(
     "time_to_success", "s", "smaller", "time from which on the goal is reached until the end; undefined in a failure"

@@ -15,13 +15,13 @@ from ..core import Agent, Deployed, Discrete, Environment, Signature, State, Ste
 from ..core.seeding import SeedTree
 from ..environments.build import Facts, build_environment, engine_of, used
 from ..errors import MachineError, NoSuchRunError, UsageError, closest
-from ..files import read_object
 from ..records import RunFolder, checkpoint, provenance
 from ..records.evaluation import Evaluation
 from ..records.shipped import POLICY, is_shipped
 from ..specification import Spec, load_spec, spec_from_dict
 from ..specification.files import SHIPPED, SPEC_SUFFIXES, find_spec, shipped_specs
 from ..store.query import find_folder, index
+from ..system.files import read_object
 
 if TYPE_CHECKING:
     from ..environments.gymnasium.export import GoalEnv

@@ -9,7 +9,6 @@ from pathlib import Path
 
 from ..environments.build import engine_of
 from ..errors import RunError
-from ..files import read_object, write_json, writing
 from ..records import RunFolder, provenance
 from ..records import checkpoint as checkpoints
 from ..records.decode import from_json
@@ -17,6 +16,7 @@ from ..records.evaluation import Evaluation
 from ..records.run_records import timestamp
 from ..records.shipped import is_shipped, results_of
 from ..specification import Spec
+from ..system.files import read_object, write_json, writing
 from ..training.assembly import make_orchestrator, use_threads
 from .changed_spec import changed_spec, engine_note
 from .policies import Learned, load_agent, playable

@@ -22,9 +22,9 @@ with BriefInterrupt():
     from .. import system
     from ..errors import KarolosError, MachineError
     from ..evaluation.zero_shot import ZeroShotTest
-    from ..files import read_object, write_json, write_whole
     from ..records import RunFolder, provenance
     from ..records.run_folder import LAUNCH, STOP
+    from ..system.files import read_object, write_json, write_whole
     from ..training.assembly import import_libraries
     from .events import Listener, RunAdvanced, RunBusy, RunEvent
     from .run import run_or_resume

@@ -12,11 +12,11 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import MachineError
-from ..files import writing
 from ..records import RunFolder
 from ..records.checkpoint import read_meta
 from ..records.evaluation import Evaluation
 from ..specification.tree import leaves
+from ..system.files import writing
 from ..training.collecting import Episode
 from ..training.training import Training
 from .resume import Snapshot

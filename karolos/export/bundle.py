@@ -30,7 +30,6 @@ from ..errors import MachineError, UsageError
 from ..evaluation.changed_spec import changed_spec
 from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
-from ..files import write_json, writing
 from ..records import RunFolder, provenance
 from ..report.video import write_film
 from ..robots.arm import POSTURE_GAIN, Arm
@@ -39,6 +38,7 @@ from ..robots.protective_stop import ProtectiveStop
 from ..simulation.geometry import matrix_of
 from ..simulation.interface import Task
 from ..specification import Spec
+from ..system.files import write_json, writing
 from .export import Exported, export_policy
 from .page import page
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from ..files import write_whole
 from ..records import RunFolder
+from ..system.files import write_whole
 
 
 def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:

@@ -22,8 +22,8 @@ from ..core.seeding import SeedTree
 from ..environments.build import used
 from ..errors import RunError
 from ..evaluation.policies import SavedAgent, environment_of, load_agent, playable
-from ..files import write_json, writing
 from ..records import RunFolder, provenance
+from ..system.files import write_json, writing
 from .onnx_file import check_onnx, run_onnx, write_onnx
 
 GOLDEN_ROWS = 64

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..core import Deployed, FloatArray, JointLayers, Layer
 from ..errors import MachineError
-from ..files import writing
+from ..system.files import writing
 
 OPSET = 17
 """The first version with LayerNormalization; runtimes since 2022 support it."""

@@ -28,10 +28,10 @@ from ..errors import KarolosError
 from ..evaluation.changed_spec import changed_spec
 from ..evaluation.policies import environment_of, signature_of
 from ..evaluation.testing import test_seeds
-from ..files import read_object
 from ..robots.arm import Arm
 from ..simulation.geometry import quaternion_of
 from ..specification import spec_from_dict
+from ..system.files import read_object
 
 TICK = 1 / 240
 """Period of the robot's own loop, and of a step of its world, in s."""

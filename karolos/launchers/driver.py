@@ -15,10 +15,10 @@ from ..errors import RunError, UsageError
 from ..experiment.events import Listener, RunEvent
 from ..experiment.signals import StopRequest
 from ..experiment.tracking import Tracking
-from ..files import read_object, write_json, write_whole
 from ..records import provenance
 from ..records.run_folder import LAUNCH, STOP
 from ..specification import Spec
+from ..system.files import read_object, write_json, write_whole
 from .interface import Ended, Launcher
 from .local import LocalLauncher
 

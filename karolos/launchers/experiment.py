@@ -19,12 +19,12 @@ from ..experiment.signals import StopRequest, StopRequestedError, stop_on_signal
 from ..experiment.start_from import pinned
 from ..experiment.tracking import Tracking
 from ..experiment.writer import index_run
-from ..files import FileLock
 from ..records import RunFolder
 from ..records.run_records import RunSummary
 from ..specification import Spec, spec_from_dict
 from ..store.query import prepare_index
 from ..system import cores
+from ..system.files import FileLock
 from .driver import Driver, make_launcher
 from .runs import Existing, Home, RunJob
 

@@ -25,7 +25,6 @@ from ..experiment.events import (
 )
 from ..experiment.resume import find_run
 from ..experiment.writer import index_run
-from ..files import new_lines, read_object
 from ..records import RunFolder
 from ..records.archive import remove_unfinished_imports
 from ..records.decode import from_json
@@ -35,6 +34,7 @@ from ..records.run_records import UNFINISHED, RunSummary
 from ..specification import Spec
 from ..store import Store
 from ..store.query import prepare_index
+from ..system.files import new_lines, read_object
 from .driver import FolderTask, Job
 
 Existing = Literal["ignore", "skip", "resume"]

@@ -15,8 +15,8 @@ from typing_extensions import override
 
 from ..core.settings import Settings as BaseSettings
 from ..errors import MachineError, UsageError
-from ..files import read_object, write_whole
 from ..records.run_folder import LAUNCH, STOP
+from ..system.files import read_object, write_whole
 from .interface import COMMAND, Ended, Launcher
 
 JOB = "slurm.job"

@@ -29,13 +29,13 @@ from ..experiment.check import check_parts
 from ..experiment.events import RunEvent
 from ..experiment.resume import find_run
 from ..experiment.start_from import check_agents, pinned
-from ..files import append_lines, read_lines
 from ..launchers.driver import FolderTask, Job
 from ..launchers.runs import RunJob
 from ..records import RunFolder, checkpoint, scan
 from ..records.decode import from_json
 from ..records.evaluation import Evaluation
 from ..specification import Spec, spec_from_dict, spec_of_variant
+from ..system.files import append_lines, read_lines
 from .plan import Plan
 
 CHECKPOINT = "best"

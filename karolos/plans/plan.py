@@ -11,11 +11,11 @@ from typing import Any, ClassVar
 from ..errors import RunError
 from ..experiment.events import RunEvent, RunWarned
 from ..experiment.signals import StopRequestedError, stop_on_signals
-from ..files import locked, write_whole, writing
 from ..launchers.driver import Driver, make_launcher
 from ..launchers.experiment import Outcome
 from ..launchers.runs import Existing, Home
 from ..specification import Spec
+from ..system.files import locked, write_whole, writing
 
 PAGE = "report.html"
 LOCK = "lock"

@@ -21,7 +21,6 @@ from ..evaluation.playing import evaluate, play_one
 from ..evaluation.policies import Policy, environment_of, load_agent
 from ..evaluation.testing import playing_processes, test_seeds
 from ..evaluation.zero_shot import changed_test, final_of, keep
-from ..files import INSTALLED, file_of, write_whole, writing
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
@@ -31,6 +30,7 @@ from ..report.video import write_film
 from ..robots.arm import Arm
 from ..robots.from_file import FromFile, proposal_of
 from ..system import cores
+from ..system.files import INSTALLED, file_of, write_whole, writing
 from .matrix_report import targets_table
 
 CAUSES = {

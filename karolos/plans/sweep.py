@@ -33,7 +33,6 @@ from ..experiment.check import check_parts
 from ..experiment.events import RunEvent, RunTested, RunWarned
 from ..experiment.signals import StopRequestedError
 from ..experiment.start_from import pinned
-from ..files import append_lines, write_json, write_whole, writing
 from ..launchers.runs import RunJob
 from ..records.run_records import timestamp
 from ..records.sweep_records import (
@@ -54,6 +53,7 @@ from ..records.sweep_records import (
 )
 from ..specification import Spec, load_spec, spec_from_dict, spec_of_trial, to_yaml
 from ..specification.sweep import DEFAULT_TRIALS
+from ..system.files import append_lines, write_json, write_whole, writing
 from .objectives import directions, measure_all, nominal_steps, so_far
 from .plan import Plan
 from .study import OpenTrial, Study

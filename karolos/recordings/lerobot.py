@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from .. import system
 from ..errors import UsageError
-from ..files import below, read_object, write_json, writing
+from ..system.files import below, read_object, write_json, writing
 from .recording import STATES, Columns, Dataset, Recording, column_names, refuse, require, rows_of
 
 VERSION = "v3.0"

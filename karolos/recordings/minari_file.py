@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from .. import system
-from ..files import writing
+from ..system.files import writing
 from .recording import NAMES, STATES, Columns, Dataset, Recording, column_names, refuse, require, rows_of
 
 FOLDER = "MINARI_DATASETS_PATH"

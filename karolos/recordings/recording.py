@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from ..core import BoolArray, Discrete, Field, FloatArray, Layout, Signature
 from ..environments.build import Facts, opened
 from ..errors import MachineError, UsageError
-from ..files import append_lines, read_lines, read_object, write_json, writing
 from ..specification.parts import Recipe
+from ..system.files import append_lines, read_lines, read_object, write_json, writing
 
 FORMAT = 1
 DESCRIPTION, EPISODES, FILES = "recording.json", "episodes.jsonl", "episodes"

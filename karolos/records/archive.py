@@ -24,7 +24,7 @@ from typing_extensions import override
 
 from .. import system
 from ..errors import RunError, UsageError, recorded, redact, without_folders
-from ..files import FileLock, parse_object, remove_leftovers, writing
+from ..system.files import FileLock, parse_object, remove_leftovers, writing
 from . import RunFolder
 from .checkpoint import PART
 from .run_records import ID, RunRecord

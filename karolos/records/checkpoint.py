@@ -32,7 +32,7 @@ import numpy as np
 
 from .. import system
 from ..errors import RunError
-from ..files import below, parse_object, write_json, writing
+from ..system.files import below, parse_object, write_json, writing
 
 FORMAT = 1
 """Version of the encoding and of the manifest."""

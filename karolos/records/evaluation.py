@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal, NotRequired, cast, final
 from pydantic import Field, FiniteFloat
 from typing_extensions import TypedDict
 
-from ..files import parse_object
+from ..system.files import parse_object
 from .decode import from_json
 from .intervals import wilson
 

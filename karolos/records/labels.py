@@ -13,7 +13,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from ..errors import RunError, UsageError
-from ..files import locked, write_json
+from ..system.files import locked, write_json
 from .decode import read_json
 
 LONGEST_TAG, LONGEST_NOTE = 200, 100_000

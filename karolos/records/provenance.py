@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import MachineError, redact, without_folders
-from ..files import fingerprint
 from ..registry import KINDS, PluginEntry, entries
+from ..system.files import fingerprint
 from .run_records import GitCommit
 
 GIT_SECONDS = 10.0

@@ -18,7 +18,7 @@ from typing import Any
 
 from .. import system
 from ..errors import MachineError, RunError, recorded, redact
-from ..files import (
+from ..system.files import (
     UNFINISHED,
     FileLock,
     Lines,

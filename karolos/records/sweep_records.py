@@ -12,7 +12,7 @@ from typing import Any, Literal
 from pydantic import FiniteFloat
 
 from ..errors import RunError, UsageError, closest
-from ..files import FileLock, read_object, read_values
+from ..system.files import FileLock, read_object, read_values
 from .decode import from_json, read_json
 from .evaluation import Count
 from .run_folder import paths

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from .. import system
 from ..errors import RunError, UsageError
-from ..files import writing
+from ..system.files import writing
 from . import RunFolder, paths
 
 NAME = ".trash"

@@ -12,7 +12,7 @@ from math import isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..files import writing
+from ..system.files import writing
 from .tables import clean
 
 if TYPE_CHECKING:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from .. import system
 from ..errors import UsageError
-from ..files import writing
+from ..system.files import writing
 
 if TYPE_CHECKING:
     from ..core import Environment, Moment

@@ -15,9 +15,9 @@ from pydantic import TypeAdapter, ValidationError
 
 from ..core.settings import LATER
 from ..errors import MachineError, PluginError, UsageError
-from ..files import fingerprint, install_hint, user_cache, write_whole, writing
 from ..registry import load
 from ..simulation.geometry import Box, Vector
+from ..system.files import fingerprint, install_hint, user_cache, write_whole, writing
 from .arm import Arm
 from .model import ArmModel
 from .proposal import Known, Proposal, propose

@@ -19,7 +19,6 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
-from ..files import find_named
 from ..registry import load
 from ..simulation import urdf
 from ..simulation.fixtures import hulls
@@ -27,6 +26,7 @@ from ..simulation.geometry import Box, Vector
 from ..simulation.interface import Fingers, Gripper
 from ..simulation.meshes import LARGEST_NUMBER, MESH_SUFFIXES, triangles
 from ..simulation.urdf import Joint
+from ..system.files import find_named
 from .grippers.parallel import GripperModel
 from .loads import MotorLoads
 from .model import FINGERS, ArmModel, Flange

@@ -17,10 +17,10 @@ from ..core import Array
 from ..core.seeding import Generator, SeedTree
 from ..core.settings import LATER
 from ..errors import MachineError, PluginError
-from ..files import fingerprint, user_cache, write_whole, writing
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector, quaternion_of
 from ..simulation.parts import link_element, place_element
 from ..simulation.shapes import Capsule
+from ..system.files import fingerprint, user_cache, write_whole, writing
 from .arm import Arm
 from .from_file import FromFile, proposal_of
 from .model import ArmModel

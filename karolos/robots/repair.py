@@ -17,10 +17,10 @@ import numpy as np
 
 from ..core import Array
 from ..errors import KarolosError, PluginError
-from ..files import find_named, write_whole
 from ..simulation import urdf
 from ..simulation.fixtures import arm
 from ..simulation.meshes import MESH_SUFFIXES, Solid, check_size, hull, triangles
+from ..system.files import find_named, write_whole
 from .proposal import points_of
 
 DENSITY = 1500.0

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 
 from ..core import Array
 from ..errors import MachineError, PluginError
-from ..files import user_cache, writing
+from ..system.files import user_cache, writing
 
 Collision = Literal["convex", "decomposed"]
 """Collision shape of a mesh that is not convex: its convex hull, or convex pieces of it."""

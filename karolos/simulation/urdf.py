@@ -21,7 +21,7 @@ import numpy as np
 
 from ..core import Array
 from ..errors import PluginError
-from ..files import find_named, install_hint
+from ..system.files import find_named, install_hint
 from .geometry import Vector, vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 

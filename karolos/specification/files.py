@@ -17,7 +17,7 @@ from typing import Any, NoReturn
 import yaml
 
 from ..errors import Problem, SpecError, UsageError, closest
-from ..files import SPECS
+from ..system.files import SPECS
 from .tree import MAX_DEPTH, Mark, Node, Scalar, refuse, segments, shown
 
 SHIPPED = "karolos:"

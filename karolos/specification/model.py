@@ -16,8 +16,8 @@ from pydantic import Field as Setting
 
 from ..core import Settings
 from ..errors import KarolosError, UsageError, described
-from ..files import fingerprint, is_portable
 from ..registry import blaming
+from ..system.files import fingerprint, is_portable
 from .parts import OfKind, Part, Recipe
 from .sweep import Seed, Seeds, Sweep, Transfer
 from .tree import PARTS

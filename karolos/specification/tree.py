@@ -10,8 +10,8 @@ from pathlib import Path as FilePath
 from typing import Any, TypeAlias
 
 from ..errors import Problem, SpecError, is_secret
-from ..files import INSTALLED, file_of
 from ..registry import loaded
+from ..system.files import INSTALLED, file_of
 
 PARTS = {
     "robot": "robots",

@@ -33,7 +33,7 @@ from sqlalchemy.pool import NullPool
 
 from .. import system
 from ..errors import StoreError, redact
-from ..files import writing as writing_file
+from ..system.files import writing as writing_file
 from .tables import OLDER_TABLES, SCHEMA, SCHEMA_VERSION, TABLES
 
 BUSY_SECONDS = 20.0

@@ -11,8 +11,8 @@ from support.sweep_samples import some_trial, write_sweep
 
 import karolos
 from karolos.errors import UsageError
-from karolos.files import FileLock
 from karolos.records.sweep_records import SweepFinal
+from karolos.system.files import FileLock
 
 
 @pytest.fixture

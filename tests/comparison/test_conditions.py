@@ -14,10 +14,10 @@ from karolos.comparison import compare, gather
 from karolos.comparison.conditions import Condition, conditions
 from karolos.core.seeding import SeedTree
 from karolos.evaluation.zero_shot import zero_shot_test
-from karolos.files import Lines
 from karolos.records import RunFolder
 from karolos.records.evaluation import Evaluation
 from karolos.report.comparison_figures import condition_figures, measure_figures
+from karolos.system.files import Lines
 
 Reads = Callable[[dict[int, list[Evaluation]]], Condition]
 

@@ -12,10 +12,10 @@ from support import toy_runs as toys
 
 from karolos.errors import MachineError, RunError, SpecError, UsageError
 from karolos.evaluation.zero_shot import zero_shot_test
-from karolos.files import FileLock
 from karolos.records import RunFolder
 from karolos.records.evaluation import LISTS, Evaluation
 from karolos.records.run_folder import TRANSFERS
+from karolos.system.files import FileLock
 
 pytestmark = pytest.mark.xdist_group(__name__)
 

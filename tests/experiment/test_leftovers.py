@@ -13,12 +13,12 @@ from support.toy_runs import TOY
 
 from karolos.errors import RunError
 from karolos.evaluation.policies import load_agent
-from karolos.files import locked
 from karolos.launchers.experiment import Experiment, resume_run
 from karolos.records import RunFolder, checkpoint, scan
 from karolos.records.run_folder import remove_lost_leftovers
 from karolos.store import Store
 from karolos.system import is_alive
+from karolos.system.files import locked
 
 pytestmark = pytest.mark.xdist_group(__name__)
 

@@ -15,13 +15,13 @@ from support.toy_runs import created
 from karolos.experiment.events import RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from karolos.experiment.process import execute_folder
 from karolos.experiment.signals import StopRequest
-from karolos.files import write_json
 from karolos.launchers.driver import Driver
 from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Existing, Home, RunJob
 from karolos.records import provenance
 from karolos.specification import Spec, spec_from_dict
 from karolos.store import Store, check
+from karolos.system.files import write_json
 
 TOY = toy_runs.toy(training={"steps": 40}, testing={"interval": 20})
 

@@ -58,7 +58,7 @@ def test_trials_left_open_are_taken_up_with_what_they_had_drawn(tmp_path):
 
 
 def test_a_journal_whose_last_line_is_torn_is_read_on(tmp_path):
-    from karolos.files import append_lines
+    from karolos.system.files import append_lines
 
     finish(study(tmp_path), 2)
     journal = tmp_path / "journal.log"

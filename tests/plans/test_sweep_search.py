@@ -19,7 +19,6 @@ from support.sweep_samples import LEARNING_RATE, sweep_spec
 from karolos.comparison import gather
 from karolos.errors import NoSuchRunError, RunError, UsageError
 from karolos.experiment.events import RunTested, RunWarned
-from karolos.files import FileLock
 from karolos.launchers.experiment import Experiment, Outcome
 from karolos.launchers.runs import Home, RunJob
 from karolos.plans.objectives import measure_all
@@ -29,6 +28,7 @@ from karolos.records import RunFolder
 from karolos.records.sweep_records import FinalBegan, SweepRecord, TrialChanged, find_sweep, read_sweep
 from karolos.specification import load_spec, spec_from_dict, spec_of_trial
 from karolos.store import Store, check, query, reindex
+from karolos.system.files import FileLock
 
 pytestmark = pytest.mark.xdist_group(__name__)
 

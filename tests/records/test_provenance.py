@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pytest
 
-from karolos import files
 from karolos.errors import recorded
-from karolos.files import fingerprint
 from karolos.records import provenance
 from karolos.specification import spec_from_dict
+from karolos.system import files
+from karolos.system.files import fingerprint
 
 
 def git(folder: Path, *arguments: str) -> None:

@@ -12,9 +12,9 @@ from support.run_samples import SPEC, new_run, result
 
 from karolos.core.environment import STAGE
 from karolos.errors import MachineError, RunError
-from karolos.files import read_values
 from karolos.records import RunFolder, run_folder, scan
 from karolos.records.run_records import timestamp
+from karolos.system.files import read_values
 
 
 def test_collision_adds_a_number(tmp_path, monkeypatch):

@@ -11,7 +11,6 @@ from support.fourth_robot import LINKS, TOOL, exported_arm
 from karolos.errors import PluginError, UsageError
 from karolos.evaluation.changed_spec import changed_spec
 from karolos.evaluation.policies import signature_of
-from karolos.files import copy_named, fingerprint
 from karolos.plugins.contracts.case import candidate
 from karolos.plugins.contracts.robots import reaching
 from karolos.records import RunFolder
@@ -23,6 +22,7 @@ from karolos.robots.proposal import propose
 from karolos.robots.repair import USUAL_SPEED, Repair
 from karolos.simulation import urdf
 from karolos.specification import Spec, load_spec, spec_from_dict
+from karolos.system.files import copy_named, fingerprint
 
 
 @pytest.fixture

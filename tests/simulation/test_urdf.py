@@ -5,13 +5,13 @@ from hypothesis import strategies as st
 from support.fourth_robot import exported_arm, small_arm
 
 from karolos.errors import PluginError
-from karolos.files import find_named
 from karolos.plugins.contracts import Candidate, candidate
 from karolos.plugins.contracts.joined import joined
 from karolos.robots.panda import Panda
 from karolos.simulation import urdf
 from karolos.simulation.bullet.world import BulletWorld
 from karolos.simulation.parts import Mechanism
+from karolos.system.files import find_named
 
 LIMIT = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
 BODY = '<inertial><mass value="1"/><inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial>'

@@ -9,7 +9,7 @@ from pydantic import BaseModel, model_validator
 from pydantic import Field as Setting
 
 from karolos.core import Agent, Buffer, Field, Layout, Settings, Signature, Step
-from karolos.randomization.distributions import Distribution
+from karolos.environments.distributions import Distribution
 
 
 class Fake:

@@ -20,7 +20,6 @@ from starlette.responses import FileResponse, HTMLResponse, RedirectResponse, Re
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
-from ... import files
 from ...comparison import Contender, compare, gather
 from ...comparison.contenders import labels_of
 from ...errors import KarolosError, NoSuchRunError, RunError, UsageError
@@ -31,6 +30,7 @@ from ...records.sweep_records import FOLDER as SWEEPS
 from ...records.sweep_records import sweeps
 from ...store import Store, check
 from ...store.experiments import ORDERS, find_experiments
+from ...system import files
 from .. import page
 from ..comparison_figures import comparison_figures, learning
 from ..figures import short

@@ -6,8 +6,8 @@ import numpy as np
 from pydantic import Field as Setting
 
 from karolos.core import Field, FloatArray, Generator, Layout, Measure
+from karolos.core.parameters import Probability
 from karolos.errors import UsageError
-from karolos.randomization.randomization import Probability
 from karolos.simulation.geometry import Vector
 from karolos.simulation.interface import RobotView, World
 from karolos.simulation.shapes import Cuboid

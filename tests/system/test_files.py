@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from karolos.errors import MachineError, UsageError
-from karolos.files import FileLock, append_lines, below, read_lines, write_whole, writing
 from karolos.system import _share_in
+from karolos.system.files import FileLock, append_lines, below, read_lines, write_whole, writing
 
 FULL = OSError(errno.ENOSPC, "No space left on device")
 
@@ -147,7 +147,7 @@ def test_lock_excludes_others_until_released(tmp_path):
 
 def test_lock_dies_with_its_process(tmp_path):
     script = (
-        "import sys, pathlib; from karolos.files import FileLock\n"
+        "import sys, pathlib; from karolos.system.files import FileLock\n"
         "lock = FileLock(pathlib.Path(sys.argv[1])); assert lock.acquire(); print('held', flush=True); sys.stdin.read()"
     )
     command = [sys.executable, "-c", script, str(tmp_path / "lock")]

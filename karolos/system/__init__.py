@@ -1,4 +1,4 @@
-"""Differences between Linux, macOS and Windows: locks, processes, signals, memory, and files that others have open.
+"""Differences between Linux, macOS and Windows: locks, processes, signals, memory, files. `files` writes files safely.
 
 No other module asks for the system. A function does the same on each system; exceptions are in its docstring.
 """

@@ -19,10 +19,10 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
 
-from . import system
-from .errors import KarolosError, MachineError, UsageError
+from .. import system
+from ..errors import KarolosError, MachineError, UsageError
 
-SPECS = next(path for up in (0, 1) if (path := Path(__file__).parents[up] / "specs").is_dir())
+SPECS = next(path for up in (1, 2) if (path := Path(__file__).parents[up] / "specs").is_dir())
 """Folder of the shipped specs, in the installed package or in a checkout."""
 _FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})

@@ -8,9 +8,9 @@ from pydantic import ValidationError
 
 from karolos.core.parameters import RandomizedParameter
 from karolos.core.seeding import Generator
+from karolos.environments.distributions import Choice, LogUniform, Normal, UniformDistribution
+from karolos.environments.randomization import Randomization
 from karolos.errors import RunError, UsageError
-from karolos.randomization.distributions import Choice, LogUniform, Normal, UniformDistribution
-from karolos.randomization.randomization import Randomization
 
 DECLARED = {
     "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),

@@ -1,1 +1,0 @@
-"""Distributions, and domain randomization of the parameters that robots and tasks declare."""
