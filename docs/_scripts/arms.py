@@ -26,7 +26,7 @@ from karolos.records.shipped import FOLDER
 from karolos.robots.repair import XACRO, Repair
 from karolos.system.files import installed_file
 
-ROWS = Path(__file__).parents[2] / "runs" / "reference" / "arms.jsonl"
+ROWS = Path(__file__).parents[2] / "runs" / "measured" / "arms.jsonl"
 """A line for each policy on an arm with a gripper. Of several, the last one counts."""
 TABLE = ROWS.with_suffix(".csv")
 GRIPPERS = {"robotiq_2f85": "2F-85", "franka_hand": "Franka hand", "own": "own fingers"}

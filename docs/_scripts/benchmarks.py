@@ -23,7 +23,7 @@ from karolos.records.provenance import versions
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "benchmarks.md"
-ROWS = ROOT / "runs" / "reference" / "benchmarks.jsonl"
+ROWS = ROOT / "runs" / "measured" / "benchmarks.jsonl"
 """A line for each row of a benchmark, with the command, the machine, the day and the version that it belongs to."""
 TABLE = re.compile(
     r"(?P<head><!-- python -m bench (?P<command>.+?)(?:; rows: (?P<rows>.+?))? -->\n)(?P<table>(?:\|.*\n)*)"
