@@ -7,6 +7,7 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+import typer
 from hypothesis import settings
 from support import fork_server
 from support.closing import close_all
@@ -68,6 +69,14 @@ def commands_import_once() -> Iterator[None]:
         fork_server.install(patch.setattr)
         yield
     fork_server.SERVER.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def commands_are_built_once() -> Iterator[None]:
+    """Typer makes all commands of `karolos` in .3 s; each call would make them again."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("typer.testing._get_command", cache(typer.main.get_command))
+        yield
 
 
 @pytest.fixture

@@ -1,10 +1,7 @@
-import json
-
 import numpy as np
 import pytest
-from karolos_cli.inspect import app
 from PIL import Image
-from support.commands import call
+from support.commands import karolos, refused, rows
 from support.robots import ROBOTS
 
 from karolos.registry import names
@@ -15,9 +12,7 @@ SMALL = ("--width", "32", "--height", "24")
 @pytest.mark.parametrize("name", ROBOTS)
 def test_robot_is_shown_with_a_picture(name, tmp_path):
     target = tmp_path / "robot.png"
-    code, out, err = call(app, "robot", name, "--out", str(target), *SMALL, "--json")
-    assert code == 0, err
-    found = json.loads(out)
+    [found] = rows("inspect", "robot", name, "--out", target, *SMALL)
     assert found["joints"]
     actions = {f"action ({mode})" for mode in ("joint", "cartesian", "pose", "impedance")}
     assert {*actions, "parameters", "settings", "tool", "flange", "gripper"} <= set(found)
@@ -30,7 +25,7 @@ def test_robot_is_shown_with_a_picture(name, tmp_path):
 def test_robot_is_shown_without_a_goal(tmp_path):
     def green(kind: str, name: str) -> int:
         target = tmp_path / f"{name}.png"
-        assert call(app, kind, name, "--out", str(target), "--width", "160", "--height", "120")[0] == 0
+        karolos("inspect", kind, name, "--out", target, "--width", 160, "--height", 120)
         red, green, blue = np.asarray(Image.open(target), int).transpose(2, 0, 1)
         return int(((green > red + 30) & (green > blue + 30)).sum())
 
@@ -41,13 +36,10 @@ def test_robot_is_shown_without_a_goal(tmp_path):
 @pytest.mark.parametrize("name", names("tasks"))
 def test_task_is_shown_with_a_picture(name, tmp_path):
     target = tmp_path / "task.png"
-    code, out, err = call(app, "task", name, "--out", str(target), *SMALL)
-    assert code == 0, err
-    assert "task.gravity" in out
+    assert "task.gravity" in karolos("inspect", "task", name, "--out", target, *SMALL).out
     assert target.exists()
 
 
-def test_unknown_names_and_bad_files_are_refused(tmp_path):
-    assert call(app, "robot", "pandda")[0] == 2
-    assert call(app, "task", "reach", "--out", str(tmp_path / "x.txt"))[0] == 2
-    assert call(app, "task", "reach", "--out", str(tmp_path / "none" / "x.png"))[0] == 2
+@pytest.mark.parametrize("words", ["robot pandda", "task reach --out x.txt", "task reach --out none/x.png"])
+def test_unknown_names_and_bad_files_are_refused(words):
+    assert refused("inspect", *words.split())

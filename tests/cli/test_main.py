@@ -1,34 +1,34 @@
-"""What `karolos` says about itself and about runs that ended."""
+"""What `karolos` says about itself, about wrong calls, and about runs that ended."""
 
 import json
+import re
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import typer
 from karolos_cli.main import app, main
 from karolos_cli.run import report
+from support.commands import karolos, refused
 from support.compared_runs import run
 from support.hostile import spec
-from support.run_commands import call
 from support.run_samples import add_run
 
 from karolos import __version__
 from karolos.launchers.experiment import Outcome
 
 
-def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing():
-    for redirection, code, err in ((">/dev/full", 3, "standard output cannot be written: No space"), (">&-", 0, "")):
-        ended = subprocess.run(
-            f"{sys.executable} -m karolos_cli plugins list {redirection}",
-            shell=True,
-            capture_output=True,
-            text=True,
-            check=False,
-        )
-        assert (ended.returncode, ended.stderr[: len(err) or None]) == (code, err)
-        assert ended.stderr.count("\n") <= 1
+@pytest.mark.parametrize(
+    ("redirection", "code", "said"),
+    [(">/dev/full", 3, "standard output cannot be written: No space"), (">&-", 0, "")],
+)
+def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing(redirection, code, said):
+    command = f"{sys.executable} -m karolos_cli plugins list {redirection}"
+    ended = subprocess.run(command, shell=True, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr[: len(said) or None]) == (code, said)
+    assert ended.stderr.count("\n") <= 1
 
 
 @pytest.mark.parametrize(
@@ -40,9 +40,8 @@ def test_an_environment_that_hangs_past_the_time_limit_or_interrupts_ends_the_co
 ):
     (tmp_path / "spec.yaml").write_text(json.dumps(spec(trouble)))
     monkeypatch.setattr("karolos.experiment.signals.HANG_SECONDS", 0.1)
-    monkeypatch.setattr(
-        sys, "argv", ["karolos", "run", f"{tmp_path}/spec.yaml", "--time-limit", "1s", "--runs", f"{tmp_path}"]
-    )
+    command = f"karolos run {tmp_path}/spec.yaml --time-limit 1s --runs {tmp_path}"
+    monkeypatch.setattr(sys, "argv", command.split())
     with pytest.raises(SystemExit) as end:
         main()
     assert end.value.code == code
@@ -50,12 +49,12 @@ def test_an_environment_that_hangs_past_the_time_limit_or_interrupts_ends_the_co
 
 
 def test_version_is_printed():
-    assert call(app, "--version").stdout == f"karolos {__version__}\n"
+    assert karolos("--version").out == f"karolos {__version__}\n"
 
 
 def test_resume_of_a_finished_run_says_that_there_is_nothing_to_do(tmp_path):
     name = add_run(tmp_path, 0)
-    assert f"{name} is finished: nothing to do" in call(app, "resume", tmp_path / name).stderr
+    assert f"{name} is finished: nothing to do" in karolos("resume", tmp_path / name).err
 
 
 def test_a_stopped_run_is_shown_with_the_command_that_continues_it(capsys):
@@ -67,8 +66,9 @@ def test_a_stopped_run_is_shown_with_the_command_that_continues_it(capsys):
 
 def test_a_wrong_choice_is_told_without_the_class_of_the_error(monkeypatch):
     monkeypatch.setenv("COLUMNS", "200")
-    said = call(app, "play", "x", "--checkpoint", "bst", exit_code=2).stderr
-    assert "Invalid value for '--checkpoint': 'bst' is not one of 'best', 'last'." in said
+    said = "Invalid value for '--checkpoint': 'bst' is not one of 'best', 'last'."
+    for command in ("play", "test", "export"):
+        assert said in refused(command, "x", "--checkpoint", "bst")
 
 
 @pytest.mark.parametrize(("module", "last"), [("karolos_cli", "typer"), ("karolos.experiment.process", "pydantic")])
@@ -82,3 +82,23 @@ def test_ctrl_c_while_libraries_are_imported_is_one_line(module, last):
     )
     ended = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert (ended.returncode, ended.stderr) == (130, "interrupted\n")
+
+
+def commands(group: typer.core.TyperGroup, *path: str) -> Iterator[tuple[str, ...]]:
+    for name, command in group.commands.items():
+        if isinstance(command, typer.core.TyperGroup):
+            yield from commands(command, *path, name)
+        else:
+            yield (*path, name)
+
+
+def test_help_says_what_each_option_takes(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "200")
+    for words in commands(typer.main.get_command(app)):
+        options = karolos(*words, "--help").out.split("Options", 1)[1]
+        assert not re.findall(r"<(?:bool|str|path|file|directory|int range|float range|list.*?)>", options), words
+
+
+def test_every_command_stands_in_a_group():
+    found = typer.main.get_command(app).commands.values()
+    assert {command.rich_help_panel for command in found} == {"Train", "Look", "Compare", "Extend", "Keep"}

@@ -4,8 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
-from karolos_cli.plugins import app
-from support.commands import call
+from support.commands import karolos, refused
 from support.fork_server import FORKS
 from support.plugin_packages import STARTERS, install, python
 
@@ -23,8 +22,7 @@ def packages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     found = {}
     for kind, name in STARTERS.items():
         found[kind] = folder / name
-        code, _, err = call(app, "new", kind, name, "--out", str(found[kind]))
-        assert code == 0, err
+        karolos("plugins", "new", kind, name, "--out", found[kind])
         install(found[kind])
     return found
 
@@ -61,22 +59,12 @@ for words in {commands}:
     assert "promises are kept" in ran.stderr
 
 
-def test_the_robot_in_examples_is_the_starter(packages):
-    written = packages["robot"]
-    example = ROOT / "examples" / "karolos-desk-arm"
-    for path in ("pyproject.toml", "tests/test_desk_arm.py", *(f"src/karolos_desk_arm/{end}" for end in (
-        "__init__.py", "desk_arm.py", "desk_arm.urdf",
-    ))):  # fmt: skip
-        assert (example / path).read_text() == (written / path).read_text(), path
-
-
-def test_the_agent_in_examples_is_the_starter(tmp_path):
-    code, out, err = call(app, "new", "agent", "actor_critic", "--out", str(tmp_path / "written"))
-    assert code == 0, err
-    example = ROOT / "examples" / "karolos-actor-critic"
-    for line in out.splitlines():
-        path = Path(line).relative_to(tmp_path / "written")
-        if path.name != "README.md":
+@pytest.mark.parametrize(("kind", "name"), [("robot", "desk_arm"), ("agent", "actor_critic")])
+def test_a_package_in_examples_is_the_starter(tmp_path, kind, name):
+    example = ROOT / "examples" / f"karolos-{name.replace('_', '-')}"
+    for line in karolos("plugins", "new", kind, name, "--out", tmp_path).out.splitlines():
+        path = Path(line).relative_to(tmp_path)
+        if path.name != "README.md" and path.parts[0] != "specs":
             assert (example / path).read_text() == Path(line).read_text(), path
 
 
@@ -92,10 +80,8 @@ def test_the_code_in_the_guides_is_that_of_the_starters(packages):
 
 def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    code, out, _ = call(app, "new", "distribution", "two_words")
-    assert code == 0
+    listed = karolos("plugins", "new", "distribution", "two_words").out.splitlines()
     assert "class TwoWords(Distribution)" in Path("karolos-two-words/src/karolos_two_words/two_words.py").read_text()
-    listed = out.splitlines()
     assert sorted(listed) == sorted(str(path) for path in Path("karolos-two-words").rglob("*") if path.is_file())
 
 
@@ -116,24 +102,18 @@ def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_pa
 )
 def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, name, what):
     out = tmp_path / "new"
-    code, printed, err = call(app, "new", kind, name, "--out", str(out))
-    assert (code, printed) == (2, "")
-    assert what in err
+    assert what in refused("plugins", "new", kind, name, "--out", out)
     assert not out.exists()
 
 
 def test_a_package_that_is_installed_can_be_written_again(tmp_path, monkeypatch):
     mine = PluginEntry("tasks", "my_part", "karolos_my_part.my_part:MyPart", "karolos-my-part", "0.1.0")
     monkeypatch.setattr("karolos.registry._installed", lambda: (mine,))
-    assert call(app, "new", "task", "my_part", "--out", str(tmp_path / "new"))[0] == 0
+    assert karolos("plugins", "new", "task", "my_part", "--out", tmp_path / "new").out
 
 
 def test_a_folder_that_holds_something_is_not_written_to(tmp_path):
     (tmp_path / "mine.txt").write_text("mine")
-    code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path))
-    assert code == 2
-    assert "already exists" in err
+    for out in (tmp_path, tmp_path / "mine.txt"):
+        assert "already exists" in refused("plugins", "new", "robot", "x", "--out", out)
     assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-    code, _, err = call(app, "new", "robot", "x", "--out", str(tmp_path / "mine.txt"))
-    assert code == 2
-    assert "already exists" in err

@@ -4,8 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from karolos_cli.robot import app
-from support.commands import call
+from support.commands import karolos, refused, rows
 from support.fourth_robot import exported_arm
 from support.processes import Here
 
@@ -25,24 +24,19 @@ def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm
     monkeypatch.setattr(robot_check, "cases", lambda *one, **how: cases(*one, **how)[:3])  # all take a minute
     arm.write_text(arm.read_text().replace('effort="60"', 'effort="0"').replace("/meshes/", "/elsewhere/"))
     options = "--repair copy.urdf --no-promises --out arm.png --gripper robotiq_2f85"
-    code, out, err = call(app, "check", str(arm), *options.split())
-    assert code == 3, err
-    lines = out.splitlines()
+    lines = karolos("robot", "check", arm, *options.split(), code=3).out.splitlines()
     assert sum(line.startswith("wrong: ") and "; repaired: " in line for line in lines) == 2
     assert "assumed: arm: joint1, joint2, joint3, joint4, joint5, joint6" in lines
     assert (tmp_path / "arm.png").stat().st_size > 1000
-    code, out, err = call(app, "check", "copy.urdf", "--json")
-    rows = [json.loads(line) for line in out.splitlines()]
-    assert {row["kind"] for row in rows} >= {"assumed", "promise"}
-    broken = [row["problem"] for row in rows if row["kind"] == "promise" and not row["kept"]]
-    assert (code, broken) == (0, [])
-    assert "read (No such file or directory); pip install arms" in call(app, "check", "installed:arms/one.urdf")[1]
+    found = rows("robot", "check", "copy.urdf")
+    assert {row["kind"] for row in found} >= {"assumed", "promise"}
+    assert [row["problem"] for row in found if row["kind"] == "promise" and not row["kept"]] == []
+    told = karolos("robot", "check", "installed:arms/one.urdf", code=3).out
+    assert "read (No such file or directory); pip install arms" in told
 
 
 def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
-    code, out, err = call(app, "score", str(arm), "--policies", "ur5_reach", "--episodes", "2", "--json")
-    assert code == 0, err
-    [row] = [json.loads(line) for line in out.splitlines()]
+    [row] = rows("robot", "score", arm, "--policies", "ur5_reach", "--episodes", 2)
     assert (row["task"], row["episodes"], row["refused"]) == ("reach", 2, None)
     assert sum(row["causes"].values()) == 2 - 2 * row["success"]
     assert set(row["causes"]) <= set(robot_score.CAUSES)
@@ -50,16 +44,14 @@ def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
     assert (folder / "ur5_reach.mp4").stat().st_size > 1000
     assert "assumed of the file" in (folder / "score.html").read_text()
     assert json.loads((folder / "score.json").read_text())["policies"] == [row]
-    code, out, err = call(app, "score", "small", "--list", "--json")
-    assert code == 0, err
-    [kept] = [json.loads(line) for line in out.splitlines()]
+    [kept] = rows("robot", "score", "small", "--list")
     assert (kept["policy"], kept["robot"], kept["gripper"]) == ("ur5_reach", "small", "robotiq_2f85")
     assert (kept["success_end"], kept["causes"], kept["own"]["episodes"]) == (row["success"], row["causes"], 2)
-    assert "small" in call(app, "score", "--list")[1]
-    code, out, err = call(app, "score", "panda", "--list")
-    assert "small" not in out
-    assert "there are no scores in runs" in err
-    assert call(app, "score")[0] == 2
+    assert "small" in karolos("robot", "score", "--list").out
+    told = karolos("robot", "score", "panda", "--list")
+    assert "small" not in told.out
+    assert "there are no scores in runs" in told.err
+    refused("robot", "score")
 
 
 def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm):
@@ -73,9 +65,7 @@ def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm):
 
 def test_policies_are_those_of_a_robot_or_one(arm):
     assert robot_score.policies_of("iiwa") == [FOLDER / name for name in shipped_names() if name.startswith("iiwa_")]
-    code, _, err = call(app, "score", str(arm), "--policies", "ur6")
-    assert code == 2
-    assert "did you mean 'ur5'" in err
+    assert "did you mean 'ur5'" in refused("robot", "score", arm, "--policies", "ur6")
 
 
 def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_is_named(arm, tmp_path, monkeypatch):
@@ -83,9 +73,8 @@ def test_several_robots_have_a_table_in_which_the_arm_counts_and_who_is_refused_
     broken = arm.with_name("broken.urdf")
     broken.write_text(arm.read_text().replace('effort="60"', 'effort="0"'))
     (tmp_path / "none.urdf").write_text("<robot/>")
-    names = [str(broken), "panda", "none.urdf"]
-    code, out, err = call(app, "score", *names, "--policies", "ur5_reach", "--episodes", "2")
-    assert code == 0, err
+    robots = (broken, "panda", "none.urdf")
+    out = karolos("robot", "score", *robots, "--policies", "ur5_reach", "--episodes", 2).out
     row = next(line for line in out.split("Over arms")[-1].splitlines() if line.startswith("reach"))
     assert row.split()[1] == "2"
     assert "none.urdf: not a URDF" in row

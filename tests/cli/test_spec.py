@@ -4,8 +4,7 @@ import json
 
 import pytest
 from jsonschema import Draft202012Validator
-from karolos_cli.spec import app
-from support.commands import call
+from support.commands import karolos, refused, rows
 
 from karolos.specification import load_spec
 
@@ -21,53 +20,46 @@ def spec(tmp_path):
 
 def test_every_spec_that_ships_is_listed_and_copied(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    rows = [json.loads(line) for line in call(app, "list", "--json")[1].splitlines()]
-    assert {"panda_reach", "bases/sac_grasp", "smoke/toy"} <= {row["name"] for row in rows}
-    assert call(app, "copy", "smoke/transfer_pick")[:2] == (0, "transfer_pick.yaml\n")
+    names = {row["name"] for row in rows("spec", "list")}
+    assert {"panda_reach", "bases/sac_grasp", "smoke/toy"} <= names
+    assert karolos("spec", "copy", "smoke/transfer_pick").out == "transfer_pick.yaml\n"
     text = (tmp_path / "transfer_pick.yaml").read_text()
     assert "extends: [karolos:transfer_pick.yaml, karolos:smoke/panda_pick.yaml]" in text
-    code, _, err = call(app, "copy", "panda_reach", "transfer_pick.yaml")
-    assert (code, "exists already" in err) == (2, True)
-    code, _, err = call(app, "copy", "panda_raech", "x.yaml")
-    assert (code, "did you mean panda_reach?" in err) == (2, True)
-    code, _, err = call(app, "copy", "panda_reach", "nowhere/x.yaml")
-    assert (code, err) == (2, "nowhere/x.yaml: there is no folder nowhere; make it, or name another file\n")
+    missing = "nowhere/x.yaml: there is no folder nowhere; make it, or name another file\n"
+    for name, file, told in (
+        ("panda_reach", "transfer_pick.yaml", "exists already"),
+        ("panda_raech", "x.yaml", "did you mean panda_reach?"),
+        ("panda_reach", "nowhere/x.yaml", missing),
+    ):
+        assert told in refused("spec", "copy", name, file)
 
 
 def test_show_prints_a_spec_that_loads_as_the_same(spec):
-    code, out, err = call(app, "show", str(spec), "seeds=[3]")
-    assert (code, err) == (0, "")
+    told = karolos("spec", "show", spec, "seeds=[3]")
+    assert told.err == ""
     again = spec.with_name("again.yaml")
-    again.write_text(out)
+    again.write_text(told.out)
     assert load_spec(again) == load_spec(spec, ["seeds=[3]"])
+    error = refused("spec", "show", spec, "agent.discount=2")
+    assert error.startswith("override agent.discount=2: agent.discount: should be less than 1")
 
 
-def test_origin_tells_where_each_value_comes_from(spec):
-    _, out, _ = call(app, "show", str(spec), "seeds=[3]", "--origin")
-    lines = [line.split() for line in out.splitlines()]
-    found = {line[0]: (line[2], " ".join(line[4:])) for line in lines}
-    assert found["agent.discount"] == ("0.5", f"{spec}:3:34")
-    assert found["seeds"] == ("[3]", "override seeds=[3]")
-    assert found["buffer.name"] == ("uniform", "default")
-
-
-def test_json_gives_value_and_origin_per_row(spec):
-    _, out, _ = call(app, "show", str(spec), "--json")
-    found = {row["path"]: row for row in map(json.loads, out.splitlines())}
-    assert found["agent.discount"] == {"path": "agent.discount", "value": 0.5, "origin": f"{spec}:3:34"}
-    assert found["seeds"]["value"] == [0]
-    assert found["buffer.hindsight"] == {"path": "buffer.hindsight", "value": None, "origin": "default"}
-
-
-def test_bad_spec_prints_its_problems_and_nothing_else(spec):
-    code, out, err = call(app, "show", str(spec), "agent.discount=2")
-    assert (code, out) == (2, "")
-    assert err.startswith("override agent.discount=2: agent.discount: should be less than 1")
+def test_show_tells_where_each_value_comes_from(spec):
+    lines = [line.split() for line in karolos("spec", "show", spec, "seeds=[3]", "--origin").out.splitlines()]
+    told = {line[0]: (line[2], " ".join(line[4:])) for line in lines}
+    found = {row["path"]: row for row in rows("spec", "show", spec, "seeds=[3]")}
+    for path, value, origin in (
+        ("agent.discount", 0.5, f"{spec}:3:34"),
+        ("seeds", [3], "override seeds=[3]"),
+        ("buffer.name", "uniform", "default"),
+    ):
+        assert told[path] == (str(value), origin)
+        assert found[path] == {"path": path, "value": value, "origin": origin}
+    assert found["buffer.hindsight"]["value"] is None
 
 
 def test_schema_is_printed_and_broken_plugins_are_warned_of(fake_plugins):
     fake_plugins("robots", "broken", "no_such_module_anywhere:Robot")
-    code, out, err = call(app, "schema")
-    assert code == 0
-    Draft202012Validator.check_schema(json.loads(out))
-    assert err.startswith("warning: left out: robot 'broken'")
+    told = karolos("spec", "schema")
+    Draft202012Validator.check_schema(json.loads(told.out))
+    assert told.err.startswith("warning: left out: robot 'broken'")

@@ -1,24 +1,16 @@
 """The checks can fail: plugins that break a promise are told which, in one line."""
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from karolos_cli.check import check as check_spec
-from karolos_cli.inspect import app as inspect_app
-from karolos_cli.plugins import app
-from karolos_cli.policy import play
-from support.commands import call
-from typer import Typer
-from typer.testing import CliRunner
+from support.commands import karolos, refused, rows
 
-import karolos.plugins.contracts
 from karolos import registry
 from karolos.errors import UsageError
-from karolos.plugins.contracts import Candidate, cases, check, results, robots
+from karolos.plugins.contracts import Candidate, candidate, cases, check, results, robots
 from karolos.registry import PluginEntry, blaming, load
 
 
@@ -87,15 +79,8 @@ def test_an_environment_of_float64_that_ignores_its_seed_breaks_promises():
 
 
 def test_a_distribution_with_a_generator_of_its_own_breaks_a_promise():
-    found = broken(
-        made(
-            "distributions",
-            "uniform",
-            {"draw": lambda self, generator: np.random.default_rng().uniform()},
-            low=0,
-            high=1,
-        )
-    )
+    draw = {"draw": lambda self, generator: np.random.default_rng().uniform()}
+    found = broken(made("distributions", "uniform", draw, low=0, high=1))
     assert set(found) == {"the_generator_alone_determines_the_values"}
 
 
@@ -117,7 +102,7 @@ def test_settings_and_kinds_that_cannot_be_checked_are_refused():
     with pytest.raises(UsageError, match="distribution mine: low: Field required; give a value for each setting"):
         broken(made("distributions", "uniform", {}))
     with pytest.raises(UsageError, match="no contracts for orchestrator local"):
-        cases(karolos.plugins.contracts.candidate("orchestrators", "local"))
+        cases(candidate("orchestrators", "local"))
     with pytest.raises(UsageError, match="did you mean 'sac'"):
         check("agents", "sacc")
 
@@ -127,20 +112,14 @@ def test_the_command_line_names_broken_promises_and_ends_with_3(monkeypatch):
         raise ZeroDivisionError("of my own\nmaking")
 
     bad = made("distributions", "uniform", {"draw": draw}, low=0, high=1)
-    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: bad)
-    ended = CliRunner().invoke(app, ["check", "distribution", "mine"])
-    assert ended.exit_code == 3
-    assert "BROKEN mine-0-1-values_are_finite_floats" in ended.stdout
-    assert "`draw` returns a finite Python float." in ended.stdout
-    assert "ZeroDivisionError: of my own making" in ended.stdout
-    assert "Traceback" in ended.stderr
-    assert "0 of 2 promises are kept" in ended.stderr
-    rows = [
-        json.loads(line)
-        for line in CliRunner().invoke(app, ["check", "distribution", "x", "--json"]).stdout.split("\n")
-        if line
-    ]
-    assert [row["kept"] for row in rows] == [False, False]
+    monkeypatch.setattr("karolos.plugins.contracts.candidate", lambda *_, **__: bad)
+    told = karolos("plugins", "check", "distribution", "mine", code=3)
+    assert "BROKEN mine-0-1-values_are_finite_floats" in told.out
+    assert "`draw` returns a finite Python float." in told.out
+    assert "ZeroDivisionError: of my own making" in told.out
+    assert "Traceback" in told.err
+    assert "0 of 2 promises are kept" in told.err
+    assert [row["kept"] for row in rows("plugins", "check", "distribution", "x", code=3)] == [False, False]
 
 
 BROKEN_TASK = """\
@@ -177,33 +156,27 @@ def installed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Installer:
     return install
 
 
-def command(function: Callable[..., None]) -> Typer:
-    made = Typer()
-    made.command()(function)
-    return made
-
-
 @pytest.mark.parametrize("method", ["fit", "build", "reset", "expert", "act"])
 def test_a_third_partys_task_that_fails_is_told_at_its_line_in_one_line(installed, method):
     spec = installed(method)
     told = f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object has no"
     small = ("--width", "32", "--height", "24")
-    commands = [(command(play), str(spec), "--expert", "--out", "film.gif", *small)]
+    commands = [("play", spec, "--expert", "--out", "film.gif", *small)]
     if method not in ("expert", "act"):
-        commands.append((inspect_app, "task", f"broken_{method}", *small))
+        commands.append(("inspect", "task", f"broken_{method}", *small))
     if method == "fit":
-        commands.append((app, "check", "task", "broken_fit"))
-    for each in commands:
-        code, out, err = call(*each)
-        assert (code, out, err.count("\n")) == (3, "", 1)
+        commands.append(("plugins", "check", "task", "broken_fit"))
+    for words in commands:
+        err = refused(*words, code=3)
         assert told in err
+        assert err.count("\n") == 1
 
 
 @pytest.mark.parametrize("method", ["fit", "build", "reset", "observe"])
 def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed, method):
     spec = installed(method)
-    code, out, _ = call(command(check_spec), str(spec), "orchestrator.processes=0")
-    assert (code, out.count("\n")) == (3, 1)
+    out = karolos("check", spec, "orchestrator.processes=0", code=3).out
+    assert out.count("\n") == 1
     assert out.startswith(f"{spec}:2:7: task.name: /")
     assert f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object" in out
 

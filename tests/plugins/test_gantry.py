@@ -3,12 +3,11 @@
 from typing import Any
 
 import pytest
-from karolos_cli.plugins import app
+from support.commands import karolos
 from support.gantry import Gantry
 from support.robots import ROBOTS
-from typer.testing import CliRunner
 
-import karolos.plugins.contracts
+from karolos.errors import UsageError
 from karolos.plugins.contracts import Candidate, candidate, cases, pairs, results, robots
 from karolos.plugins.contracts.checking import of_pair
 from karolos.registry import names
@@ -34,7 +33,7 @@ class Picky(candidate("tasks", "reach").plugin):  # type: ignore[misc]  # a clas
     """Needs a robot that turns joints."""
 
     def fit(self, robot: Any) -> None:
-        raise karolos.errors.UsageError("no joint turns", where="robot")
+        raise UsageError("no joint turns", where="robot")
 
 
 def test_no_installed_task_refuses_an_installed_robot():
@@ -44,30 +43,27 @@ def test_no_installed_task_refuses_an_installed_robot():
             assert pairs.the_task_refuses_the_robot not in {case.promise for case in found}
 
 
+def fail(self: Any, *_: Any) -> None:
+    raise ZeroDivisionError("of my own")
+
+
 @pytest.mark.parametrize("method", ["build", "act"])
 def test_a_check_stops_after_a_broken_basic(monkeypatch, method):
-    def fail(self: Any, *_: Any) -> None:
-        raise ZeroDivisionError("of my own")
-
     broken = Candidate("robots", "mine", type("Mine", (Gantry,), {method: fail}))
-    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: broken)
-    ended = CliRunner().invoke(app, ["check", "robot", "mine"])
-    assert ended.exit_code == 3
-    assert ended.stdout.count("BROKEN") == ended.stdout.count("of my own") == 1
-    assert "were not checked" in ended.stderr
+    monkeypatch.setattr("karolos.plugins.contracts.candidate", lambda *_, **__: broken)
+    told = karolos("plugins", "check", "robot", "mine", code=3)
+    assert told.out.count("BROKEN") == told.out.count("of my own") == 1
+    assert "were not checked" in told.err
 
 
 def test_a_problem_is_told_once(monkeypatch):
-    def fail(self: Any, *_: Any) -> None:
-        raise ZeroDivisionError("of my own")
-
     methods = {"towards": fail, "place_tool": fail, "reset": lambda self, _: self.tool.place(self.home)}
     broken = Candidate("robots", "mine", type("Mine", (Gantry,), methods))
     found = [(str(case), problem) for case, problem in results(cases(broken, alone=True)) if problem]
     assert len(found) > 1
-    monkeypatch.setattr(karolos.plugins.contracts, "candidate", lambda *_, **__: broken)
-    monkeypatch.setattr(karolos.plugins.contracts, "cases", lambda one: cases(one, alone=True))
-    ended = CliRunner().invoke(app, ["check", "robot", "mine"])
-    assert ended.stdout.count("BROKEN") == len(found)
-    assert ended.stdout.count("of my own") == 1
-    assert "the same problem as of mine-" in ended.stdout
+    monkeypatch.setattr("karolos.plugins.contracts.candidate", lambda *_, **__: broken)
+    monkeypatch.setattr("karolos.plugins.contracts.cases", lambda one: cases(one, alone=True))
+    out = karolos("plugins", "check", "robot", "mine", code=3).out
+    assert out.count("BROKEN") == len(found)
+    assert out.count("of my own") == 1
+    assert "the same problem as of mine-" in out

@@ -8,8 +8,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 import pytest
-from karolos_cli.plugins import app
-from support.commands import call
+from support.commands import refused
 from support.fourth_robot import TOOL, WIDTH, exported_arm
 
 from karolos.errors import PluginError
@@ -17,6 +16,11 @@ from karolos.plugins.starter import write_starter
 from karolos.robots import poses
 from karolos.robots.arm import Arm, ArmSettings
 from karolos.robots.proposal import Known, Proposal, propose, with_meshes
+
+
+@pytest.fixture
+def path(tmp_path: Path, quick_proposals: None) -> Path:
+    return exported_arm(tmp_path).model.urdf
 
 
 def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_write_it(tmp_path):
@@ -33,11 +37,6 @@ def test_arm_tool_gripper_home_and_workspace_are_found_in_a_urdf_as_exporters_wr
     assert [note.partition(":")[0] for note in found.notes] == [
         "base", "arm", "gripper", "tool", "home", "workspace", "dexterous", "self-collisions",
     ]  # fmt: skip
-
-
-@pytest.fixture
-def path(tmp_path: Path, quick_proposals: None) -> Path:
-    return exported_arm(tmp_path).model.urdf
 
 
 def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(path):
@@ -68,8 +67,7 @@ def test_a_urdf_that_does_not_work_is_refused_in_one_line_and_nothing_is_written
     text = path.read_text()
     assert old in text
     path.write_text(text.replace(old, new))
-    code, printed, err = call(app, "new", "robot", "mine", "--urdf", str(path), "--out", str(tmp_path / "new"))
-    assert (code, printed) == (3, "")
+    err = refused("plugins", "new", "robot", "mine", "--urdf", path, "--out", tmp_path / "new", code=3)
     assert message in err
     assert len(err.strip().splitlines()) <= 2, "the message and a hint"
     assert not (tmp_path / "new").exists()
@@ -174,6 +172,4 @@ def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_n
     [(("task", "x", "--urdf", "x"), "a task has no URDF"), (("robot", "x", "--tool", "x"), "add --urdf FILE")],
 )
 def test_options_that_do_not_go_together_are_refused(arguments, message):
-    code, _, err = call(app, "new", *arguments)
-    assert code == 2
-    assert message in err
+    assert message in refused("plugins", "new", *arguments)

@@ -3,43 +3,58 @@
 import pytest
 from support.spec_files import GOOD, problems_of, write
 
-from karolos.specification import load_spec
+from karolos.specification import Spec, load_spec
 
 pytestmark = pytest.mark.usefixtures("fake_plugins")
 
 
-def test_mappings_merge_deeply_and_the_file_itself_wins(tmp_path):
-    write(tmp_path, "base.yaml", GOOD + "training: {steps: 7, batch_size: 8}\nseeds: [1, 2]\n")
-    path = write(tmp_path, "s.yaml", "extends: base.yaml\ntraining: {steps: 9}\nseeds: [3]\n")
-    spec = load_spec(path)
-    assert (spec.training.steps, spec.training.batch_size, spec.seeds) == (9, 8, (3,))
+def at(spec: Spec, path: str) -> object:
+    """A value of the spec's dump; the keys of its path are separated by spaces."""
+    found = spec.dump()
+    for key in path.split():
+        found = found[key]
+    return found
 
 
-def test_later_files_of_a_list_win(tmp_path):
-    write(tmp_path, "a.yaml", GOOD + "training: {steps: 1, batch_size: 1, warmup_episodes: 1}\n")
-    write(tmp_path, "b.yaml", "training: {steps: 2, batch_size: 2}\n")
-    spec = load_spec(write(tmp_path, "s.yaml", "extends: [a.yaml, b.yaml]\ntraining: {steps: 3}\n"))
-    assert (spec.training.steps, spec.training.batch_size, spec.training.warmup_episodes) == (3, 2, 1)
+NORMAL = "{task.gravity: {name: normal, mean: 1, std: 2}}"
+MERGED = {
+    "mapping by mapping": (
+        ["training: {steps: 7, batch_size: 8}\nseeds: [1, 2]"],
+        "training: {steps: 9}\nseeds: [3]",
+        {"training steps": 9, "training batch_size": 8, "seeds": [3]},
+    ),
+    "later files first": (
+        ["training: {steps: 1, batch_size: 1, warmup_episodes: 1}", "training: {steps: 2, batch_size: 2}"],
+        "training: {steps: 3}",
+        {"training steps": 3, "training batch_size": 2, "training warmup_episodes": 1},
+    ),
+    "settings of the same part, also from shorthand": (
+        ["agent: {name: learner, discount: 0.5}"],
+        "agent: learner\nrobot: {step: 0.1}",
+        {"agent discount": 0.5, "robot name": "arm", "robot step": 0.1},
+    ),
+    "a part of another name as a whole": (
+        ["robot: {name: arm, step: 0.2}"],
+        "robot: other_arm",
+        {"robot": {"name": "other_arm", "speed": 1.0}},
+    ),
+    "a distribution of another name as a whole": (
+        [f"randomization: {NORMAL}"],
+        "randomization: {task.gravity: {name: interval, low: 0, high: 1}}",
+        {"randomization task.gravity": {"name": "interval", "low": 0.0, "high": 1.0}},
+    ),
+}
+"""How files are merged: what a spec extends, the spec, and what comes of it."""
 
 
-def test_settings_of_the_same_part_merge_also_from_shorthand(tmp_path):
-    write(tmp_path, "base.yaml", GOOD.replace("learner", "{name: learner, discount: 0.5}"))
-    spec = load_spec(write(tmp_path, "s.yaml", "extends: base.yaml\nagent: learner\nrobot: {step: 0.1}\n"))
-    assert spec.agent.settings.discount == 0.5
-    assert (spec.robot.name, spec.robot.settings.step) == ("arm", 0.1)
-
-
-def test_part_whose_name_changes_is_replaced_whole(tmp_path):
-    write(tmp_path, "base.yaml", GOOD.replace("arm", "{name: arm, step: 0.2}"))
-    spec = load_spec(write(tmp_path, "s.yaml", "extends: base.yaml\nrobot: other_arm\n"))
-    assert spec.robot.dump() == {"name": "other_arm", "speed": 1.0}
-
-
-def test_distribution_whose_name_changes_is_replaced_whole(tmp_path):
-    write(tmp_path, "base.yaml", GOOD + "randomization: {task.gravity: {name: normal, mean: 1, std: 2}}\n")
-    text = "extends: base.yaml\nrandomization: {task.gravity: {name: interval, low: 0, high: 1}}\n"
-    drawn = load_spec(write(tmp_path, "s.yaml", text)).randomization
-    assert drawn["task.gravity"].dump() == {"name": "interval", "low": 0.0, "high": 1.0}
+@pytest.mark.parametrize("how", MERGED)
+def test_the_file_itself_wins_over_what_it_extends(tmp_path, how):
+    below, above, expected = MERGED[how]
+    names = ["good.yaml", *(f"{place}.yaml" for place in range(len(below)))]
+    for name, text in zip(names, [GOOD, *below], strict=True):
+        write(tmp_path, name, text)
+    spec = load_spec(write(tmp_path, "s.yaml", f"extends: [{', '.join(names)}]\n{above}\n"))
+    assert {path: at(spec, path) for path in expected} == expected
 
 
 def test_null_drops_what_is_inherited(tmp_path):
@@ -72,14 +87,7 @@ def test_circle_is_refused_with_its_members(tmp_path):
     assert "circle: self.yaml -> self.yaml" in line
 
 
-def test_same_base_twice_is_no_circle(tmp_path):
-    write(tmp_path, "base.yaml", GOOD)
-    write(tmp_path, "left.yaml", "extends: base.yaml\n")
-    write(tmp_path, "right.yaml", "extends: base.yaml\n")
-    assert load_spec(write(tmp_path, "s.yaml", "extends: [left.yaml, right.yaml]\n")).robot.name == "arm"
-
-
-def test_files_that_extend_twice_each_are_read_once(tmp_path):
+def test_a_base_that_is_extended_again_and_again_is_no_circle_and_is_read_once(tmp_path):
     write(tmp_path, "f0.yaml", GOOD)
     for number in range(1, 16):
         write(tmp_path, f"f{number}.yaml", f"extends: [f{number - 1}.yaml, f{number - 1}.yaml]\n")
@@ -131,48 +139,33 @@ def test_file_that_cannot_be_extended_is_told_alone(tmp_path, target, expected):
 
 @pytest.fixture
 def path(tmp_path):
-    return write(tmp_path, "s.yaml", GOOD + "randomization: {task.gravity: {name: normal, mean: 1, std: 2}}\n")
+    return write(tmp_path, "s.yaml", f"{GOOD}randomization: {NORMAL}\n")
 
 
 @pytest.mark.parametrize(
-    ("override", "where", "value"),
+    ("overrides", "where", "value"),
     [
-        ("agent.learning_rate=1e-4", ("agent", "learning_rate"), 1e-4),
-        ("seeds=[0,1]", ("seeds",), [0, 1]),
-        ("robot.control=joint", ("robot", "control"), "joint"),
-        ("agent={name: learner, discount: .9}", ("agent", "discount"), 0.9),
-        ("training.steps=1e6", ("training", "steps"), 1_000_000),
-        ("buffer.hindsight.ratio=0.5", ("buffer", "hindsight", "ratio"), 0.5),
-        ("buffer.hindsight={}", ("buffer", "hindsight", "ratio"), 0.8),
-        ("orchestrator.processes=0", ("orchestrator", "processes"), 0),
-        ("environment.substeps=5", ("environment", "substeps"), 5),
-        ("randomization.task.gravity.mean=3", ("randomization", "task.gravity", "mean"), 3.0),
-        ("randomization.robot.mass={name: normal, mean: 1, std: 0}", ("randomization", "robot.mass", "std"), 0.0),
-        ("name=a.b", ("name",), "a.b"),
+        (["agent.learning_rate=1e-4"], "agent learning_rate", 1e-4),
+        (["seeds=[0,1]"], "seeds", [0, 1]),
+        (["robot.control=joint"], "robot control", "joint"),
+        (["agent={name: learner, discount: .9}"], "agent discount", 0.9),
+        (["training.steps=1e6"], "training steps", 1_000_000),
+        (["buffer.hindsight.ratio=0.5"], "buffer hindsight ratio", 0.5),
+        (["buffer.hindsight={}"], "buffer hindsight ratio", 0.8),
+        (["orchestrator.processes=0"], "orchestrator processes", 0),
+        (["environment.substeps=5"], "environment substeps", 5),
+        (["randomization.task.gravity.mean=3"], "randomization task.gravity mean", 3.0),
+        (["randomization.robot.mass={name: normal, mean: 1, std: 0}"], "randomization robot.mass std", 0.0),
+        (["name=a.b"], "name", "a.b"),
+        (["randomization="], "randomization", {}),
+        (["training.steps=1", "training.steps=2"], "training steps", 2),
+        # another plugin does not have the settings, the same one keeps them
+        (["robot.step=0.3", "robot=other_arm"], "robot", {"name": "other_arm", "speed": 1.0}),
+        (["robot.step=0.3", "robot=arm"], "robot step", 0.3),
     ],
 )
-def test_override_replaces_one_value(path, override, where, value):
-    found = load_spec(path, [override]).dump()
-    for key in where:
-        found = found[key]
-    assert found == value
-
-
-def test_later_overrides_win(path):
-    assert load_spec(path, ["training.steps=1", "training.steps=2"]).training.steps == 2
-
-
-def test_override_of_a_name_drops_what_the_other_plugin_does_not_have(path):
-    spec = load_spec(path, ["robot.step=0.3", "robot=other_arm"])
-    assert spec.robot.dump() == {"name": "other_arm", "speed": 1.0}
-
-
-def test_override_of_the_same_name_keeps_the_settings(path):
-    assert load_spec(path, ["robot.step=0.3", "robot=arm"]).robot.settings.step == 0.3
-
-
-def test_empty_value_leaves_out(path):
-    assert load_spec(path, ["randomization="]).randomization == {}
+def test_an_override_replaces_one_value_and_the_last_one_wins(path, overrides, where, value):
+    assert at(load_spec(path, overrides), where) == value
 
 
 @pytest.mark.parametrize(

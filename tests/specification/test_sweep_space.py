@@ -43,12 +43,6 @@ def test_a_search_that_cannot_be_is_told_before_it_begins(path, override):
     assert all(words in problem for words in REFUSED["searches"][override]), problem
 
 
-def test_a_space_without_parameters_is_refused(tmp_path):
-    path = write(tmp_path, "s.yaml", GOOD + "sweep: {space: {}}\n")
-    (problem,) = problems_of(path)
-    assert problem.startswith("s.yaml:4:16: sweep.space: ")
-
-
 def test_the_place_of_a_value_out_of_range_is_that_of_the_value(tmp_path):
     text = GOOD + "sweep:\n  space:\n    agent.discount: {float: [0.5, 1.5]}\n    task.threshold: {choice: [0.1, -1]}\n"
     problems = problems_of(write(tmp_path, "s.yaml", text))
