@@ -144,9 +144,7 @@ def open_or_make_store(runs: Path, database: str | None) -> Store:
 def open_run(selector: str, runs: Path, database: str | None) -> RunFolder:
     """The folder of the one run that a selector (POLICY_HELP) means.
 
-    Raises:
-        UsageError: the selector means no run or several.
-        RunError: the run's folder is missing or damaged.
+    Raises UsageError if it means no run or several, RunError if the folder is missing or damaged.
     """
     from karolos.records import RunFolder
     from karolos.store.query import find_folder, is_run_folder
@@ -178,8 +176,7 @@ def select_runs(
 ) -> tuple[Store, tuple[RunSummary, ...]]:
     """The open index, and the runs that any selector means and that match the filter, each once.
 
-    Raises:
-        UsageError: neither selector nor filter is given, a selector means no run, or no run matches.
+    Raises UsageError if neither is given, a selector means no run, or no run matches.
     """
     if not selectors and where is None:
         raise UsageError("which runs?", hint="name RUN, or give --where FILTER")

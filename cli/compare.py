@@ -159,8 +159,7 @@ def _labels(
 ) -> Sequence[str]:
     """The label of each experiment: as chosen, or that of `labels_of`.
 
-    Raises:
-        UsageError: labels are missing or not distinct, or two arguments mean the same run.
+    Raises UsageError if labels are missing or not distinct, or two arguments mean the same run.
     """
     from karolos.comparison.contenders import labels_of
 

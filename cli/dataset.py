@@ -63,14 +63,8 @@ def dataset(
     from karolos.recordings.recording import RecordingFolder
     from karolos.system.files import write_whole
 
-    chosen = {
-        "episodes": episodes,
-        "only": only,
-        "noise": noise,
-        "random": random,
-        "randomize": randomize,
-        "seed": seed,
-    }
+    chosen = {"episodes": episodes, "only": only, "noise": noise, "random": random}
+    chosen |= {"randomize": randomize, "seed": seed}
     if expert:
         from karolos.specification import load_spec
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -16,8 +17,6 @@ from .output import print_line, print_rows
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
-
-    from karolos.plugins.inspection import Inspection
 
 app = typer.Typer(
     name="inspect", help="Show a robot, a gripper or a task: a picture and its numbers.", no_args_is_help=True
@@ -37,10 +36,7 @@ def robot(
     json: Json = False,
 ) -> None:
     """Show a robot: joints with limits, workspace, control modes, layouts, parameters for randomization."""
-    target = _target(out, name)
-    from karolos.plugins.inspection import inspect_robot
-
-    _show("robot", inspect_robot(name, size=(width, height)), target, json=json)
+    _show("robot", name, out, json=json, size=(width, height))
 
 
 @app.command()
@@ -52,10 +48,7 @@ def gripper(
     json: Json = False,
 ) -> None:
     """Show a gripper: its numbers, and the workspace of each arm that carries it."""
-    target = _target(out, name)
-    from karolos.plugins.inspection import inspect_gripper
-
-    _show("gripper", inspect_gripper(name, size=(width, height)), target, json=json)
+    _show("gripper", name, out, json=json, size=(width, height))
 
 
 @app.command()
@@ -71,20 +64,7 @@ def task(
     json: Json = False,
 ) -> None:
     """Show a task: goal rule, layouts, settings, parameters for randomization."""
-    target = _target(out, name)
-    from karolos.plugins.inspection import inspect_task
-
-    _show("task", inspect_task(name, robot, size=(width, height)), target, json=json)
-
-
-def _target(picture: Path | None, name: str) -> Path:
-    target = picture or Path(f"{name}.png")
-    if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
-        hint = "name a file that ends in .png or .jpg"
-        raise UsageError(f"{target.name} does not end like a picture's name", hint=hint)
-    if not target.parent.is_dir():
-        raise UsageError(f"there is no folder {target.parent} to write a picture into")
-    return target
+    _show("task", name, out, json=json, size=(width, height), robot=robot)
 
 
 def save_picture(picture: NDArray[np.uint8], target: Path) -> None:
@@ -97,7 +77,22 @@ def save_picture(picture: NDArray[np.uint8], target: Path) -> None:
         raise MachineError(f"cannot write {target}: {error.strerror or error}") from error
 
 
-def _show(kind: str, found: Inspection, target: Path, *, json: bool) -> None:
+def _show(kind: str, name: str, out: Path | None, *, json: bool, **how: Any) -> None:
+    """Write the picture, and print the facts. `how`: of `karolos.plugins.inspection.inspect_robot` and the others."""
+    target = out or Path(f"{name}.png")
+    if target.suffix.lower() not in (".png", ".jpg", ".jpeg"):
+        hint = "name a file that ends in .png or .jpg"
+        raise UsageError(f"{target.name} does not end like a picture's name", hint=hint)
+    if not target.parent.is_dir():
+        raise UsageError(f"there is no folder {target.parent} to write a picture into")
+    from karolos.plugins import inspection
+
+    functions: dict[str, Callable[..., inspection.Inspection]] = {
+        "robot": inspection.inspect_robot,
+        "gripper": inspection.inspect_gripper,
+        "task": inspection.inspect_task,
+    }
+    found = functions[kind](name, **how)
     if found.picture is not None:
         save_picture(found.picture, target)
     if json:

@@ -19,8 +19,7 @@ from karolos import __version__, system
 from karolos.errors import KarolosError, MachineError, PluginError
 from karolos.experiment.interrupt import end_at_once
 
-from . import db, inspect, plugins, robot, runs, spec, sweeps
-from .board import board
+from . import db, inspect, plans, plugins, robot, runs, spec
 from .check import check
 from .compare import compare, diff
 from .dataset import dataset
@@ -28,7 +27,7 @@ from .output import say
 from .plans import suite, sweep, transfer
 from .policy import export, play, zero_shot
 from .run import resume, run
-from .ui import ui
+from .ui import board, ui
 
 OBJECTS_PER_COLLECTION = 50_000
 """Number of new objects before Python collects garbage. With Python's default a short command spends an eighth of its
@@ -69,7 +68,7 @@ app = typer.Typer(
 )
 for panel, parts in {
     "Train": (spec, check, run, resume, sweep, suite, transfer),
-    "Look": (runs, sweeps, play, ui, board),
+    "Look": (runs, plans, play, ui, board),  # `plans.app` is `karolos sweeps`
     "Compare": (compare, diff, zero_shot),
     "Extend": (plugins, inspect, robot),
     "Keep": (export, dataset, db),

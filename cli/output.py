@@ -48,10 +48,7 @@ def print_line(text: str) -> None:
 def print_rows(rows: Iterable[Mapping[str, Any]], *, json: bool, line: str = "") -> None:
     """Print one JSON object per row, or a table of the columns that are not empty in all rows.
 
-    Args:
-        rows: values by column name.
-        json: print JSON objects.
-        line: print each row as a line in this format instead of the table, e.g. "{run} -> {folder}".
+    `line` prints each row as a line in this format instead of the table, e.g. "{run} -> {folder}".
     """
     if json or line:
         for row in rows:

@@ -1,4 +1,7 @@
-"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are executed and reported together."""
+"""`karolos sweep`, `karolos suite` and `karolos transfer`: runs that are executed and reported together.
+
+`karolos sweeps` shows the sweeps and their trials.
+"""
 
 from __future__ import annotations
 
@@ -26,7 +29,7 @@ from .arguments import (
     seconds,
     with_launcher,
 )
-from .completion import complete_spec
+from .completion import complete_folder, complete_spec
 from .output import check_folder, drawn_text, print_report, print_rows, say, short_text, warn
 
 if TYPE_CHECKING:
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from karolos.plans.sweep import Search
     from karolos.records.sweep_records import SweepRecord, Trial
 
+app = typer.Typer(name="sweeps", help="List sweeps, and show their trials.", no_args_is_help=True)
 SAMPLES = 5
 """Largest number of sampled specs that --dry-run prints."""
 
@@ -104,8 +108,9 @@ def report_sweep(sweep: SweepRecord, front: Sequence[Trial], *, quiet: bool, jso
 def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
     """A trial as a row: state, objectives, settings, error, runs.
 
-    After the final choice there are two more columns per objective: on the new seeds of the choice, and on the
-    reporting seeds, on which only the chosen trial was run.
+    After the final choice each objective has two more: `fresh` on the seeds of the choice, and for the chosen trial
+    `unused`
+    on the reporting seeds.
     """
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
     final = sweep.final
@@ -179,6 +184,63 @@ def _print_samples(search: Search, *, json: bool) -> None:
         say(f"these are the first; from trial {STARTUP_TRIALS} on, values depend on results")
 
 
+@app.command("list")
+def list_sweeps(
+    runs: Runs = Path("runs"),
+    database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
+    json: Json = False,
+) -> None:
+    """List sweeps, newest first, with their progress and the best trial by the first objective."""
+    from karolos.records.sweep_records import sweeps
+
+    found, problems = sweeps(runs)
+    for problem in problems:
+        warn(problem)
+    if not found:
+        say(f"no sweeps in {runs} yet; `karolos sweep SPEC` makes one")
+    print_rows([sweep.row() if json else _short_row(sweep) for sweep in found], json=json)
+
+
+@app.command("show")
+def show_sweep(
+    name: Annotated[
+        str,
+        typer.Argument(
+            metavar="NAME", help="A sweep's name or id.", autocompletion=complete_folder("sweeps/*/sweep.json")
+        ),
+    ],
+    runs: Runs = Path("runs"),
+    database: Database = None,  # noqa: ARG001  (sweeps are read from their folders)
+    json: Json = False,
+) -> None:
+    """Show a sweep: every trial with objectives, settings and runs, and the best trial's result on new seeds."""
+    from karolos.records.sweep_records import find_sweep
+
+    sweep = find_sweep(runs, name)
+    if json:
+        print_rows([sweep.row()], json=True)
+        return
+    print_trials(sweep)
+    for trial in sweep.trials:
+        if trial.error is not None:
+            say(f"trial {trial.number} failed: {trial.error}")
+    say(f"{sweep.sweep} {sweep.state()}, {sweep.ended} of {sweep.asked} trials, {sweep.folder}")
+    report_best(sweep)
+
+
+def _short_row(sweep: SweepRecord) -> dict[str, Any]:
+    best = sweep.best
+    return {
+        "sweep": sweep.sweep,
+        "state": sweep.state(),
+        "trials": f"{sweep.ended}/{sweep.asked}",
+        "objective": sweep.objectives[0],
+        "best": best.values[0] if best and best.values else None,
+        "trial": best.number if best else None,
+        "settings": drawn_text(best) if best else None,
+    }
+
+
 def suite(
     file: Annotated[
         Path,
@@ -223,11 +285,15 @@ def suite(
     from karolos.specification.suite import load_suite
 
     found = load_suite(file, with_launcher(overrides, on))
-    others = _folder(beside)
     from karolos.plans.suite import SuitePlan
+    from karolos.records.shipped import FOLDER as SHIPPED
 
     from . import display
 
+    others = None if beside is None else SHIPPED if beside == "shipped" else Path(beside)
+    if others is not None and not others.is_dir():
+        hint = "name a folder of runs, or `shipped`"
+        raise UsageError(f"there is no folder {beside}", where="--beside", hint=hint)
     plan = SuitePlan(found, overrides or (), seconds(budget, "--budget"))
     existing = "resume" if resume else "skip" if if_needed else "ignore"
     shown = display.Quiet() if quiet else display.Plain()
@@ -245,18 +311,6 @@ def suite(
     if not quiet:
         say(f"wrote {path}")
     raise typer.Exit(outcome.exit_code)
-
-
-def _folder(beside: str | None) -> Path | None:
-    """The folder of the runs to compare with. Raises UsageError if it is missing."""
-    from karolos.records.shipped import FOLDER as SHIPPED
-
-    if beside is None:
-        return None
-    path = SHIPPED if beside == "shipped" else Path(beside)
-    if not path.is_dir():
-        raise UsageError(f"there is no folder {beside}", where="--beside", hint="name a folder of runs, or `shipped`")
-    return path
 
 
 def transfer(

@@ -82,11 +82,7 @@ def run(
 
 
 def _detach(log: Path) -> NoReturn:
-    """Start this command in the background, with its output in the log, and end this process.
-
-    Raises:
-        MachineError: the log cannot be written.
-    """
+    """Start this command in the background, with its output in the log, and end this process. Raises MachineError."""
     words = [word for word in sys.argv[1:] if word != "--detach"]
     with writing(log):
         log.parent.mkdir(parents=True, exist_ok=True)

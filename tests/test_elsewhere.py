@@ -47,20 +47,21 @@ def faults(source: str) -> Iterator[str]:
                 yield f"{node.lineno}: from {node.module}"
             lacking = [one.name for one in node.names if (str(node.module), one.name) in names]
             yield from (f"{node.lineno}: from {node.module} import {name}" for name in lacking)
-        elif isinstance(node, ast.Attribute) and (ast.unparse(node.value), node.attr) in names:
-            yield f"{node.lineno}: {ast.unparse(node)}"
+        elif isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name | ast.Attribute):
+            if (ast.unparse(node.value), node.attr) in names:
+                yield f"{node.lineno}: {ast.unparse(node)}"
         elif isinstance(node, ast.Call):
             yield from faults_of_call(node)
 
 
 def faults_of_call(call: ast.Call) -> Iterator[str]:
     """Files opened without an encoding are found by ruff (PLW1514)."""
-    function, text = ast.unparse(call.func), ast.unparse(call)
+    function = ast.unparse(call.func)
     keywords = {one.arg for one in call.keywords}
     if function.startswith("subprocess.") and "text" in keywords and "encoding" not in keywords:
-        yield f"{call.lineno}: no encoding in {text}"
+        yield f"{call.lineno}: no encoding in {ast.unparse(call)}"
     if function == "os.kill" and ast.unparse(call.args[1]) == "0":
-        yield f"{call.lineno}: {text} sends Ctrl-C on Windows"
+        yield f"{call.lineno}: {ast.unparse(call)} sends Ctrl-C on Windows"
 
 
 def test_only_one_module_uses_what_another_system_lacks():

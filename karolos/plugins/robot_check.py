@@ -22,15 +22,8 @@ def check_file(
 ) -> Iterator[Row]:
     """Errors, assumptions and doubts of an arm's file, and the promises that it breaks.
 
-    A file that cannot be used as it is is replaced by its repaired copy, if that can be used.
-
-    Args:
-        repaired: where to write the repaired copy; None: nowhere.
-        mass: of the arm in kg, as the data sheet says.
-        promises: whether to check the promises of a robot, which takes some seconds.
-        known: settings of the robot `urdf` other than the defaults.
-
-    Raises MachineError if the copy cannot be written.
+    A file that cannot be used as it is is replaced by its copy `repaired`, if that can be used. `mass` is the arm's by
+    its data sheet, in kg; `known` are settings of the robot `urdf`. Raises MachineError if the copy cannot be written.
     """
     repair = Repair(path, mass, expand=repaired is not None)
     for finding in repair.findings:

@@ -33,18 +33,11 @@ def write_starter(
 ) -> tuple[list[Path], tuple[str, ...]]:
     """Write the package `karolos-<name>` into `out`; returns its files, sorted, and the assumptions about the URDF.
 
-    Args:
-        kind: one of KINDS.
-        name: of the plugin in specs: lower-case letters, digits and underscores.
-        out: the package's folder; created if it is missing.
-        urdf: a robot's or a gripper's description, instead of the made-up one.
-        tool: the link of its tool frame, if its name is unusual.
-        gripper: name of a gripper for the flange of a robot's URDF; by default the URDF's own hand, if any.
+    A robot or a gripper is written from `urdf`, if given. `tool` is the link of its tool frame, and `gripper` replaces
+    the hand of a robot's URDF.
 
-    Raises:
-        UsageError: the kind or the name is invalid, another package has the name, or the folder is not empty or
-            cannot be written.
-        PluginError: the URDF is not of an arm or a gripper that karolos can simulate.
+    Raises UsageError if kind or name is invalid, another package has the name, or the folder cannot be written;
+    PluginError if karolos cannot simulate the URDF.
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))

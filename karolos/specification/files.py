@@ -86,11 +86,7 @@ def shipped_text(name: str) -> str:
 
 @dataclass
 class SpecFiles:
-    """Reads a spec file and the files that it extends, each file once.
-
-    Args:
-        root: the spec file, or the name of a shipped spec.
-    """
+    """Reads a spec file, or a shipped spec by its name, and the files that it extends, each file once."""
 
     root: str | Path
     problems: list[Problem] = field(default_factory=list)
@@ -271,14 +267,10 @@ def scalar(text: str) -> Scalar:
 
 
 def read(text: str, source: str, rank: int = 0) -> tuple[Node | None, list[Problem]]:
-    """The document in `text`, and the problems after which reading can continue.
+    """The document's node (None for an empty one), and the problems after which reading can continue.
 
-    Args:
-        source: name of the file or override, for positions.
-        rank: index of this source, for sorting problems.
-
-    Returns:
-        The document's node, None for an empty document; and problems with duplicate or invalid keys and with tags.
+    These are duplicate or invalid keys, and tags. `source` names the file or override in positions; `rank` sorts
+    the sources.
 
     Raises SpecError if the text is not YAML, holds several documents, or is too large, deep or repetitive.
     """

@@ -121,12 +121,8 @@ def _origin(tree: Node, path: tuple[str, ...]) -> str:
 def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[int, ...], source: str) -> Spec:
     """The spec of one trial of a sweep.
 
-    Args:
-        drawn: parameter -> number, or label of a choice.
-        name: of the trial's runs.
-        source: the origin of its settings, e.g. "trial 7".
-
-    Raises SpecError if these values are incompatible; reported at `source`.
+    `drawn`: parameter -> number, or label of a choice. `name`: of the runs. `source`: origin of the settings, e.g.
+    "trial 7". Raises SpecError if these values are incompatible; reported at `source`.
     """
     assert base.sweep is not None  # only such a spec has trials
     mark, space = Mark(source), base.sweep.space
@@ -137,11 +133,8 @@ def spec_of_trial(base: Spec, drawn: Mapping[str, Any], name: str, seeds: tuple[
 def spec_of_variant(base: Spec, variant: str, name: str, seeds: tuple[int, ...], *, fine_tune: bool = False) -> Spec:
     """The spec of the runs of one variant of a transfer, changed as overrides would change it.
 
-    Args:
-        name: of the runs.
-        fine_tune: whether to change also the settings of fine-tuning.
-
-    Raises SpecError if the settings are incompatible; reported where they are set.
+    `fine_tune`: with the settings of fine-tuning, too. Raises SpecError if the settings are incompatible; reported
+    where they are set.
     """
     transfer = base.transfer
     assert transfer is not None  # only such a spec has variants

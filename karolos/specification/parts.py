@@ -38,11 +38,10 @@ class Part:
 
     @classmethod
     def of(cls, kind: str, name: str, given: Mapping[str, Any]) -> Part:
-        """The part with these settings.
+        """The part with these settings. Raises UsageError and PluginError as `registry.load`.
 
-        Raises:
-            ValidationError: a setting is invalid, too large an integer for numpy, torch and databases, or a secret.
-            UsageError, PluginError: as `registry.load`.
+        Raises ValidationError if a setting is invalid, an integer too large for numpy, torch and databases, or a
+        secret.
         """
         settings = validate_strictly(load(kind, name).Settings, given)
         values = list(leaves(settings.model_dump(), lists=True))

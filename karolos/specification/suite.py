@@ -82,11 +82,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
     """The suite in a YAML file. `overrides` change every spec, and replace settings of the suite.
 
     An agent that needs the other kind of buffer gets `on_policy` or `uniform`, unless an override names a buffer. A
-    spec that an override makes invalid is `refused`, if another spec is valid.
-
-    Raises:
-        SpecError: the suite or a spec is invalid; carries every problem found, at file:line:column.
-        PluginError: a plugin of a spec is broken.
+    spec that an override makes invalid is `refused`, if another spec is valid. Raises as `load_spec`.
     """
     files = SpecFiles(path)
     tree = _written_out(files.load(), find_spec(path)[0].stem)

@@ -305,11 +305,8 @@ def application_order(keys: Iterable[str]) -> list[str]:
 def space_problems(space: Node, sweep: Sweep, problems_of: Callable[[Sequence[Node]], list[Problem]]) -> list[Problem]:
     """The problems of a sweep's search space, at the number or the choice.
 
-    Both ends of each range and every value of each choice are validated.
-
-    Args:
-        space: of the sweep, as it is written.
-        problems_of: the problems of the spec without its sweep, with changes on top.
+    Both ends of each range and every value of each choice are validated: `problems_of` gives the problems of the spec
+    without its sweep, with changes on top.
     """
     if problems := [*_wrong_keys(space), *_wrong_conditions(space, sweep)]:
         return problems

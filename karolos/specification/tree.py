@@ -312,10 +312,7 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
 
     A change that names another plugin keeps settings that both plugins declare with the same type, unless it gives
     them: `buffer.name=priority` and `buffer={name: priority, alpha: 0.5}` keep capacity, hindsight and n_step of a
-    uniform buffer. A file that names another plugin, however, replaces the whole part.
-
-    Args:
-        stem: of the file, the default of the spec's name.
+    uniform buffer. A file that names another plugin replaces the whole part. `stem` is the default of the spec's name.
     """
     tree = written
     for change in changes:

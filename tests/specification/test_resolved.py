@@ -160,7 +160,7 @@ optional = {
 
 
 @given(st.fixed_dictionaries(parts, optional=optional))
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_dump_loads_as_an_equal_spec(tmp_path, given_spec):
     spec = spec_from_dict(given_spec)
     dump = spec.dump()

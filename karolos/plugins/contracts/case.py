@@ -20,13 +20,9 @@ _HINT = "give a value for each setting without a default, e.g. low=0"
 
 @dataclass(frozen=True)
 class Candidate:
-    """A plugin to check.
+    """A plugin to check: kind and name as in the registry, and the settings that differ from the defaults.
 
-    Args:
-        kind: of plugin, as the registry calls it: robots, tasks, ...
-        name: its name in specs.
-        settings: those that differ from the defaults.
-        engine: in which a robot or a task is simulated; by default the environment's default.
+    `engine` simulates a robot or a task; None: the environment's default.
     """
 
     kind: str
@@ -91,9 +87,7 @@ class Case:
 class Promises(list[Callable[..., None]]):
     """Promises in the order in which they are checked. As a decorator it adds one.
 
-    Args:
-        opened: builds the subject of the promises from the candidates; None: a promise gets the candidates.
-        basic: whether all other promises depend on these.
+    `opened` builds the subject of the promises; None: they get the candidates. All others depend on `basic` ones.
     """
 
     def __init__(
@@ -155,9 +149,7 @@ def demand_refusal(call: Callable[[], object], error: type[Exception], otherwise
 def state_differences(one: object, other: object, *, ignore: frozenset[str] = frozenset(), path: str = "") -> list[str]:
     """Key paths at which two nested states of dicts, lists and arrays differ. NaN equals NaN.
 
-    Args:
-        ignore: keys of dicts that are not compared.
-        path: prefix of the key paths.
+    `ignore`: keys of dicts that are not compared. `path`: prefix of the key paths.
     """
     if isinstance(one, dict) and isinstance(other, dict):
         if one.keys() != other.keys():

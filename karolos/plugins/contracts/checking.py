@@ -25,11 +25,7 @@ USUAL_ROBOT = "panda"
 
 @blaming()
 def cases(one: Candidate, *, alone: bool = False) -> list[Case]:
-    """Every promise of a plugin.
-
-    Args:
-        alone: leave out the promises of a robot with each installed task, of a task with each installed robot, and of a
-            gripper with the arms whose own it is.
+    """Every promise of a plugin; `alone`: without those that need each installed robot, task or arm, too.
 
     Raises:
         UsageError: a setting is missing, the kind has no contracts, or it is the environment robot_task, which is

@@ -31,13 +31,7 @@ def join(
     substeps: int | None = None,
     **settings: Any,
 ) -> RobotTask:
-    """A robot with a task.
-
-    Args:
-        drawn: values that randomization gives to parameters of the two.
-        substeps: physics steps per control step; by default the environment's.
-        settings: of the task.
-    """
+    """A robot with a task. `drawn`: values that randomization gives to parameters. `settings`: of the task."""
     chosen = {"engine": robot.engine or task.engine, "substeps": substeps}
     environment = RobotTask(
         RobotTask.Settings.model_validate({name: value for name, value in chosen.items() if value is not None}),
