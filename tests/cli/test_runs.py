@@ -197,13 +197,6 @@ def test_show_knows_the_runs_that_ship_unless_one_of_ones_own_has_the_name(runs)
     assert "did you mean 'panda_pick'" in refused("show", "panda_pikc")
 
 
-def test_text_from_a_spec_cannot_steer_the_terminal(runs):
-    run = add_run(runs, 0, spec={**SPEC, "agent": {"name": "\x1b[2J[bold]x", "\x1b[31m": 1}})
-    told = karolos("show", run)
-    assert "\x1b" not in f"{told}{karolos('list')}"
-    assert "[2J[bold]x" in told.out
-
-
 def test_watch_shows_what_runs_where_until_nothing_runs(runs, monkeypatch):
     folder = RunFolder.create(runs, "reach", 7)
     folder.describe({}, experiment="e")

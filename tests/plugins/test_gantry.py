@@ -5,7 +5,6 @@ from typing import Any
 import pytest
 from support.commands import karolos
 from support.gantry import Gantry
-from support.robots import ROBOTS
 
 from karolos.errors import UsageError
 from karolos.plugins.contracts import Candidate, candidate, cases, pairs, results, robots
@@ -34,13 +33,6 @@ class Picky(candidate("tasks", "reach").plugin):  # type: ignore[misc]  # a clas
 
     def fit(self, robot: Any) -> None:
         raise UsageError("no joint turns", where="robot")
-
-
-def test_no_installed_task_refuses_an_installed_robot():
-    for robot in ROBOTS:
-        for task in names("tasks"):
-            found = of_pair(candidate("robots", robot), candidate("tasks", task))
-            assert pairs.the_task_refuses_the_robot not in {case.promise for case in found}
 
 
 def fail(self: Any, *_: Any) -> None:

@@ -56,9 +56,7 @@ def test_a_gripper_with_turning_fingers_is_locked(path):
     ("old", "new", "message"),
     [
         ('type="revolute"', 'type="prismatic"', "the arm has only 1 turning joint (joint6)"),
-        ('effort="15" velocity="0.06"', 'effort="0" velocity="0"', "joint slide1: limits must satisfy"),
         ("small_description/meshes", "elsewhere", "link base: there is no mesh 'package://elsewhere/mark.obj'"),
-        ('<mass value="1.2"/>', '<mass value="0"/>', "link link3: it moves and has no mass"),
         ('"joint3"', '"j&#10;import os"', r"<joint>: its name is 'j\nimport os'; 1 to 100"),
         ('"link3"', '"l&#x202e;"', r"<link>: its name is 'l\u202e'"),
     ],

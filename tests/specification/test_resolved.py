@@ -30,25 +30,29 @@ def test_robot_task_and_agent_are_enough():
     assert spec.testing.model_dump() == {"interval": 5000, "episodes": 100, "seed": 0, "final_episodes": None}
 
 
-def test_environment_and_agent_are_enough():
-    spec = spec_from_dict({"environment": "point", "agent": "learner"})
-    assert (spec.name, spec.robot, spec.task) == ("point", None, None)
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ({"environment": "point", "agent": "learner"}, {"name": "point", "robot": None, "task": None}),
+        # a default part takes settings without a name
+        (
+            {**SMALL, "buffer": {"capacity": 1e5}},
+            {"buffer": {"name": "uniform", "capacity": 100_000, "hindsight": None}},
+        ),
+        # tuples and numbers of numpy
+        (
+            {**SMALL, "seeds": (np.int64(3), 4), "robot": {"name": "arm", "step": np.float32(0.5)}},
+            {"seeds": [3, 4], "robot": {"name": "arm", "control": "cartesian", "step": 0.5}},
+        ),
+    ],
+)
+def test_a_dictionary_is_completed(given, expected):
+    found = spec_from_dict(given).dump()
+    assert {key: found.get(key) for key in expected} == expected
 
 
 def test_name_defaults_to_the_file(tmp_path):
     assert load_spec(write(tmp_path, "first_try.yaml", GOOD)).name == "first_try"
-
-
-def test_default_part_takes_settings_without_a_name():
-    spec = spec_from_dict({**SMALL, "buffer": {"capacity": 1e5}})
-    assert (spec.buffer.name, spec.buffer.settings.capacity) == ("uniform", 100_000)
-
-
-def test_dictionary_may_hold_tuples_and_numpy_numbers():
-    spec = spec_from_dict(
-        {**SMALL, "seeds": (np.int64(3), 4), "agent": {"name": "learner", "discount": np.float32(0.5)}}
-    )
-    assert (spec.seeds, spec.agent.settings.discount) == ((3, 4), 0.5)
 
 
 def test_specs_are_frozen():
@@ -92,6 +96,7 @@ def test_origins_tell_where_each_value_comes_from(tmp_path):
     assert spec_from_dict(SMALL).origins["robot.name"] == "dict"
 
 
+ASYNC = {"training": {"mode": "async"}}
 CHANGES = {
     "name": ({"name": "other"}, True),
     "seeds": ({"seeds": [5, 6]}, True),
@@ -100,7 +105,7 @@ CHANGES = {
     "layout of environments": ({"orchestrator": {"name": "local", "processes": 2, "environments": 4}}, True),
     "written default": ({"training": {"steps": 1e5}}, True),
     "lockstep spelt out": ({"training": {"mode": "lockstep", "minimum_batch": None}}, True),
-    "async": ({"training": {"mode": "async"}}, False),
+    "async": (ASYNC, False),
     "number of environments": ({"orchestrator": {"name": "local", "environments": 9}}, False),
     "steps": ({"training": {"steps": 1}}, False),
     "setting of a part": ({"agent": {"name": "learner", "discount": 0.5}}, False),
@@ -116,12 +121,10 @@ def test_hash_names_what_results_depend_on(change):
     assert (spec_from_dict({**SMALL, **changed}).hash() == spec_from_dict(SMALL).hash()) is same
 
 
-def test_waiting_for_one_environment_is_what_async_does_unless_told_otherwise():
-    one, none, two = (
-        spec_from_dict({**SMALL, "training": {"mode": "async", **batch}}).hash()
-        for batch in ({"minimum_batch": 1}, {}, {"minimum_batch": 2})
-    )
-    assert one == none != two
+@pytest.mark.parametrize("batch", [1, 2])
+def test_waiting_for_one_environment_is_what_async_does_unless_told_otherwise(batch):
+    waiting = spec_from_dict({**SMALL, "training": {"mode": "async", "minimum_batch": batch}})
+    assert (waiting.hash() == spec_from_dict({**SMALL, **ASYNC}).hash()) is (batch == 1)
 
 
 def test_specs_that_resolve_alike_are_equal(tmp_path):
