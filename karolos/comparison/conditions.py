@@ -77,11 +77,7 @@ def _condition(
 ) -> Condition:
     """The group of tests with the most runs, reduced to the runs and values with the most tests.
 
-    Args:
-        contender: whose runs were tested.
-        setting: that the tests changed.
-        groups: group -> place of a run -> its tests.
-        tree: of the intervals' random numbers.
+    `groups` maps group -> place of a run -> its tests that changed the setting.
     """
     (checkpoint, seed, episodes), group = max(groups.items(), key=_size)
     candidates = [

@@ -55,14 +55,9 @@ def gather(store: Store | None, runs: Sequence[RunSummary], label: str, selector
     Runs of a sweep count only on new seeds, on which no setting was tuned or chosen, if there are such runs. Without a
     store the runs are read from their folders, and all count.
 
-    Args:
-        store: has the runs.
-        runs: what is compared.
-        label: name in tables and figures.
-        selector: what a person typed, for errors; the label by default.
+    Errors name the `selector` that a person typed, by default the label.
 
-    Raises:
-        UsageError: the runs belong to several experiments, or no run has a test yet.
+    Raises UsageError if the runs belong to several experiments, or no run has a test yet.
     """
     if store is None:
         return _contender(label, [RunFolder.open(run.folder).record() for run in runs], [], selector)

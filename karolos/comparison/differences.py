@@ -28,9 +28,7 @@ def differences(mappings: Sequence[Mapping[str, Any]]) -> dict[str, tuple[Any, .
     """Key path -> each mapping's value, for keys whose values differ. Keys are grouped by their first part.
 
     If a side lacks a block, for example because it has another plugin, each key of the block is a value of its own.
-
-    Args:
-        mappings: nested, e.g. resolved specs. A list is one value.
+    A list is one value.
     """
     found: dict[str, tuple[Any, ...]] = {}
     for key in dict.fromkeys(key for mapping in mappings for key in mapping):

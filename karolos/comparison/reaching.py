@@ -5,7 +5,9 @@ Source: Kaplan and Meier 1958, J. Am. Stat. Assoc. 53, 457.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from statistics import median
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -21,14 +23,10 @@ def first_reaching(ratios: Sequence[float], at: Sequence[float], threshold: floa
 def kaplan_meier(times: ArrayLike, reached: ArrayLike) -> tuple[_Floats, _Floats]:
     """Kaplan-Meier estimate of the fraction of runs that have not reached a threshold yet.
 
-    At each time t at which d of r observed runs reach it, the fraction is multiplied by 1 - d / r.
+    At each time t at which d of r observed runs reach it, the fraction is multiplied by 1 - d / r. `times` (..., n) are
+    the steps at which each run reached it or ended, `reached` (..., n) whether it did; otherwise it is censored.
 
-    Args:
-        times: (..., n) steps at which each run reached the threshold or ended.
-        reached: (..., n) whether it reached it; otherwise it is censored.
-
-    Returns:
-        The times in ascending order (of equal ones those of reaching first) and the fraction after each: (..., n).
+    Returns the times in ascending order (of equal ones those of reaching first) and the fraction after each: (..., n).
     """
     steps, events = np.asarray(times, float), np.asarray(reached, bool)
     order = np.lexsort((~events, steps), axis=-1)
@@ -59,8 +57,5 @@ def median_reaching(places: Sequence[float | None]) -> float | None:
 
     It equals `median_time` if all runs are equally long, and is larger if one was aborted. None if it is infinite.
     """
-    if not places:
-        return None
-    times = [np.inf if place is None else place for place in places]
-    median = float(median_time(times, np.isfinite(times)))
-    return median if np.isfinite(median) else None
+    middle = float(median(math.inf if place is None else place for place in places))
+    return middle if math.isfinite(middle) else None

@@ -177,14 +177,11 @@ def compare(
 ) -> Comparison:
     """The numbers of all contenders. Improvements are relative to the first.
 
-    Args:
-        contenders: what to compare.
-        metric: of curves, thresholds and improvements; by default `end`, or `return` if the success of one is unknown.
-        store: keeps the densities; without one they are computed.
-        at: environment steps; the runs are compared as they were at their tests nearest to them.
+    `metric` is that of curves, thresholds and improvements; by default `end`, or `return` if the success of one is
+    unknown. The store keeps the densities; without one they are computed. With `at`, the runs are compared as they were
+    at their tests nearest to these environment steps.
 
-    Raises:
-        UsageError: success is compared, but unknown for a contender; a run has no test near `at`.
+    Raises UsageError if success is compared but unknown for a contender, or a run has no test near `at`.
     """
     if at is not None:
         contenders = [replace(one, runs=tuple(run.at(at) for run in one.runs)) for one in contenders]
@@ -263,14 +260,9 @@ def estimate(
 ) -> Estimate | None:
     """A statistic of one or several values per run, with the kind of interval that the number of seeds allows.
 
-    Args:
-        rows: values of the runs (n,) each, paired by the run.
-        statistic: maps one array (..., n) per row to (...).
-        tree: of the bootstrap's random numbers.
-        episodes: number of episodes, if the value of a single run is a success ratio.
-
-    Returns:
-        None if the statistic is nan.
+    `rows` are values of the runs (n,) each, paired by the run; the statistic maps one array (..., n) per row to (...).
+    `tree` gives the bootstrap's random numbers. `episodes` is their number if the value of a single run is a success
+    ratio. None if the statistic is nan.
     """
     table = np.array(rows, float)
     middle, seeds = float(statistic(*table)), table.shape[1]
@@ -281,14 +273,18 @@ def estimate(
     if seeds == 1:
         return Estimate(middle, middle, middle, "none")
     found = aggregates.paired_interval(list(table), statistic, tree.generator())
-    reliability = aggregates.reliability(seeds)
-    if reliability == "none":
+    if aggregates.reliability(seeds) == "none":
         each = statistic(*table[:, :, None])  # of each seed alone
         each = each[~np.isnan(each)]
         return Estimate(middle, float(each.min(initial=middle)), float(each.max(initial=middle)), "range")
-    if found is None:
-        return Estimate(middle, middle, middle, "none")
-    return Estimate(middle, *found, "bootstrap" if reliability == "usual" else "approximate")
+    return _bootstrapped(middle, found, seeds)
+
+
+def _bootstrapped(value: float, interval: tuple[float, float] | None, seeds: int) -> Estimate:
+    """A value with its bootstrap interval over this number of seeds, or without one."""
+    if interval is None:
+        return Estimate(value, value, value, "none")
+    return Estimate(value, *interval, "bootstrap" if aggregates.reliability(seeds) == "usual" else "approximate")
 
 
 def reaching(runs: Sequence[RunRecord], success: Success, ratio: float) -> Reaching:
@@ -308,12 +304,8 @@ def reaching(runs: Sequence[RunRecord], success: Success, ratio: float) -> Reach
 
 def _improvement(ours: Sequence[RunRecord], theirs: Sequence[RunRecord], metric: Metric, tree: SeedTree) -> Estimate:
     one, other = [run.reported(metric) for run in ours], [run.reported(metric) for run in theirs]
-    probability = aggregates.improvement(one, other)
     found = aggregates.improvement_interval(one, other, tree.generator())
-    if found is None:
-        return Estimate(probability, probability, probability, "none")
-    usual = aggregates.reliability(min(len(one), len(other))) == "usual"
-    return Estimate(probability, *found, "bootstrap" if usual else "approximate")
+    return _bootstrapped(aggregates.improvement(one, other), found, min(len(one), len(other)))
 
 
 def _improvement_row(found: Estimate) -> dict[str, Any]:

@@ -71,18 +71,13 @@ class ExportedRuns(NamedTuple):
 def export_runs(
     folders: Sequence[RunFolder], target: Path, *, checkpoints: bool = True, source: bool = True
 ) -> ExportedRuns:
-    """Write run folders into a new archive.
+    """Write run folders into a new archive, whose name ends in SUFFIX. After an error nothing is left behind.
 
-    Args:
-        folders: run folders that no process is running.
-        target: ends in SUFFIX and does not exist.
-        checkpoints: include them, which can be large.
-        source: include code.diff, commands, names of untracked files, tracebacks and the folders of absolute paths.
+    Without `checkpoints`, which can be large, these are left out. Without `source` also code.diff, commands, names of
+    untracked files, tracebacks and the folders of absolute paths.
 
-    Raises:
-        UsageError: the target exists, or has another suffix.
-        RunError: a process is running one of them.
-        MachineError: the disk is full, or the target cannot be written; nothing is left behind.
+    Raises UsageError if the target exists or has another suffix, RunError if a process is running one of the runs,
+    MachineError if the disk is full or the target cannot be written.
     """
     if not target.name.endswith(SUFFIX):
         raise _refused(target, f"archives end in {SUFFIX}", "name it so")
@@ -163,21 +158,13 @@ def import_runs(
     most_bytes: int = MOST_BYTES,
     enter: Callable[[Sequence[RunRecord]], None] | None = None,
 ) -> tuple[RunRecord, ...]:
-    """Unpack an archive's runs into a runs folder: all of them, or none.
+    """Unpack the runs of an archive into a runs folder, which is created if it is missing: all of them, or none.
 
-    Args:
-        source: from `export_runs`.
-        runs: the runs folder; created if it does not exist.
-        most_bytes: limit of the unpacked size.
-        enter: enters the runs into the index. If it raises an error, their folders are removed again.
+    Returns the runs, with one line per damaged file. `enter` enters them into the index; if it raises an error, their
+    folders are removed again.
 
-    Returns:
-        The runs, with one line per damaged file.
-
-    Raises:
-        UsageError: it is not such an archive, is damaged or too large, holds other files than those of run folders, or
-            one of its runs exists.
-        MachineError: the disk is full, or the runs folder cannot be written.
+    Raises UsageError if it is not such an archive, is damaged, unpacks to more than `most_bytes`, holds other files
+    than those of run folders, or one of its runs exists; MachineError if the disk is full or cannot be written.
     """
     remove_unfinished_imports(runs)
     with writing(runs):
@@ -269,8 +256,7 @@ class _Stream(gzip.GzipFile):
 def _extract(tar: tarfile.TarFile, place: Path, source: Path, most_bytes: int) -> tuple[dict[str, str], dict[str, str]]:
     """Write the members of an archive below `place`: plain files of runs, within limits of number and size.
 
-    Returns:
-        The sha256 of each file by its name, and what the archive's list says.
+    Returns the sha256 of each file by its name, and what the archive's list says.
     """
     found: dict[str, str] = {}
     left = most_bytes

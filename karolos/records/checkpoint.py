@@ -78,11 +78,6 @@ class ArrayFiles:
         self.used.update(names)
         return names
 
-    def sync(self) -> None:
-        """Flush the names to disk, so that they survive a power cut. Called once, after all files of a checkpoint."""
-        if self.folder.is_dir():
-            system.sync_folder(self.folder)
-
     def read(self, names: Sequence[str], size: int) -> np.ndarray:
         """The `size` bytes that `write` wrote: a flat uint8 array.
 
@@ -123,10 +118,7 @@ class ArrayFiles:
             return name
         self.folder.mkdir(parents=True, exist_ok=True)
         fresh = self.folder / f".{name}.{os.getpid()}"
-        with fresh.open("wb") as file:
-            file.write(data)
-            file.flush()
-            system.sync(file.fileno())
+        _write_synced(fresh, data)
         system.replace(fresh, place)
         _SOUND.add(place)
         return name
@@ -137,19 +129,13 @@ class CheckpointError(RunError):
 
 
 def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str, Any]) -> Path:
-    """Write a checkpoint; it replaces an older one of that name.
+    """Write a checkpoint into a run's folder of them and return its own; it replaces an older one of that name.
 
-    Args:
-        folder: the run's folder of checkpoints; created if it does not exist.
-        parts: nested dictionaries, lists and tuples of tensors, numpy arrays, numbers, strings, booleans and None.
-        meta: JSON values (experiment, steps ...).
+    `parts` are nested dictionaries, lists and tuples of tensors, numpy arrays, numbers, strings, booleans and None.
+    `meta` are JSON values (experiment, steps ...).
 
-    Returns:
-        The checkpoint's folder.
-
-    Raises:
-        MachineError: the disk is full or the folder cannot be written; the older checkpoint stays.
-        TypeError: a state holds something else; names the key path.
+    Raises MachineError if the disk is full or the folder cannot be written (the older checkpoint stays), TypeError with
+    the key path if a state holds something else.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
@@ -160,8 +146,13 @@ def save(folder: Path, name: str, parts: Mapping[str, State], meta: Mapping[str,
             system.remove_tree(fresh, ignore_errors=True)  # left by a killed process
             fresh.mkdir()
             arrays = ArrayFiles(folder / _ARRAYS)
-            files = {part: write_state(fresh / f"{part}.pt", state, arrays) for part, state in parts.items()}
-            arrays.sync()
+            files = {}
+            for part, state in parts.items():
+                data = pack_state(state, part, arrays)
+                _write_synced(fresh / f"{part}.pt", data)
+                files[part] = {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
+            if arrays.used:  # the names of their files survive a power cut, too
+                system.sync_folder(arrays.folder)
             content = {"format": FORMAT, "meta": dict(meta), "files": files, "array_files": sorted(arrays.used)}
             write_json(fresh / _MANIFEST, content | {"sha256": seal(content)})
         except BaseException:  # nothing is left behind after an interrupt, either
@@ -268,12 +259,8 @@ def _identity(path: Path) -> tuple[int, int] | None:
     return found.st_ino, found.st_mtime_ns
 
 
-def _previous(target: Path) -> Path:
-    return target.with_name(f".{target.name}.previous")
-
-
 def _put_in_place(fresh: Path, target: Path) -> None:
-    previous = _previous(target)
+    previous = target.with_name(f".{target.name}.previous")
     if target.exists():
         system.remove_tree(previous, ignore_errors=True)
         system.replace(target, previous)
@@ -284,7 +271,7 @@ def _put_in_place(fresh: Path, target: Path) -> None:
 
 def _find(folder: Path, name: str) -> Path:
     path = below(folder, name)
-    for candidate in (path, _previous(path), path):  # it may be renamed between two attempts
+    for candidate in (path, path.with_name(f".{name}.previous"), path):  # it may be renamed between two attempts
         if os.path.isdir(candidate):
             return candidate
     existing = ", ".join(names(folder)) or "no checkpoints"
@@ -347,21 +334,16 @@ def seal(manifest: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(rest, sort_keys=True).encode()).hexdigest()
 
 
-def write_state(path: Path, state: State, arrays: ArrayFiles) -> dict[str, Any]:
-    """Write a state to the disk, its large arrays into array files; returns the file's size and hash.
-
-    Raises OSError if the file cannot be written, and as `encode`.
-    """
-    data = pack_state(state, path.stem, arrays)
+def _write_synced(path: Path, data: bytes | memoryview) -> None:
+    """Write a file to the disk. Raises OSError."""
     with path.open("wb") as file:
         file.write(data)
         file.flush()
         system.sync(file.fileno())
-    return {"bytes": len(data), "sha256": hashlib.sha256(data).hexdigest()}
 
 
 def read_state(path: Path, facts: Any, arrays: ArrayFiles) -> State:
-    """The state in a file, verified against the size and hash that `write_state` returned.
+    """The state in a file, verified against its size and hash in the manifest.
 
     Raises CheckpointError if it is missing, truncated, changed, or holds something else than a plain state.
     """

@@ -130,14 +130,9 @@ class Evaluation:
         measures: Mapping[str, Any] = MappingProxyType({}),
         **lists: Any,
     ) -> Evaluation:
-        """The evaluation with these results.
+        """The evaluation with these results: the fields LISTS, and unit, better and values of each measure by name.
 
-        Args:
-            steps: environment steps of training before the test.
-            seconds: of training before the test.
-            has_success: False: the environment does not define success. Only returns count.
-            measures: unit, better and values of each measure, by name.
-            lists: the fields LISTS.
+        Without success only returns count.
         """
         some, end, reset = (sum(lists[name]) if has_success else None for name in ("any", "end", "reset"))
         means = {

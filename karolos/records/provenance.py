@@ -110,13 +110,6 @@ def software() -> dict[str, Any]:
     return {"versions": versions(), "sources": sources()}
 
 
-def other_versions(other: Mapping[str, str]) -> list[str]:
-    """Differences between these versions and those of this process."""
-    own = versions()
-    found = [(name, own.get(name, "missing"), version) for name, version in sorted(other.items())]
-    return [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]
-
-
 def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
     """Settings whose files (`Spec.files`) have changed since a run's run.json, and modules whose source has."""
     modules = {name: digest for name, digest in (about.get("sources") or {}).items() if name != "karolos"}
@@ -125,10 +118,14 @@ def edited(about: Mapping[str, Any], files: Mapping[str, str]) -> list[str]:
 
 
 def other_software(other: Mapping[str, Any]) -> list[str]:
-    """Differences between `software` and this process. Unknown sources are ignored."""
-    found, known = other_versions(other.get("versions", {})), other.get("sources") or {}
-    own = {} if found else sources(known)
-    return found or [f"the source of {name} is another one" for name in known if known[name] != own.get(name)]
+    """Differences between `software` and this process: of versions, or else of sources. Unknown sources are ignored."""
+    own = versions()
+    found = [(name, own.get(name, "missing"), there) for name, there in sorted(other.get("versions", {}).items())]
+    if different := [f"{name} is {here} here and {there} there" for name, here, there in found if here != there]:
+        return different
+    known = other.get("sources") or {}
+    now = sources(known)
+    return [f"the source of {name} is another one" for name in known if known[name] != now.get(name)]
 
 
 def check_software(launched: Mapping[str, Any], where: str) -> None:

@@ -453,12 +453,9 @@ def _by_steps(tests: Iterable[Evaluation]) -> tuple[Evaluation, ...]:
 
 
 def paths(runs: str | Path, pattern: str = "*", description: str = "run.json") -> list[Path]:
-    """The run folders in a runs folder, damaged ones included, by name.
+    """The run folders in a runs folder, damaged ones included, by name; none if it does not exist.
 
-    Args:
-        runs: the runs folder; the list is empty if it does not exist.
-        pattern: of the folders' names, as in a shell.
-        description: the file that marks a run folder.
+    `pattern` is that of the folders' names, as in a shell, `description` the file that marks a run folder.
     """
     try:
         found = sorted(path for path in Path(runs).iterdir() if fnmatchcase(path.name, pattern))

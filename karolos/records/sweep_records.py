@@ -120,8 +120,13 @@ class SweepRecord:
 
     @property
     def ranked(self) -> list[Trial]:
-        """The complete trials, the best first (`rank`)."""
-        return rank(self.trials, self.directions)
+        """The complete trials, the best first: by the first objective, then the next, then by number."""
+        found = [
+            (merit(trial.values, self.directions), trial.number, trial)
+            for trial in self.trials
+            if trial.values is not None
+        ]
+        return [trial for *_, trial in sorted(found, key=lambda each: each[:2])]
 
     @property
     def best(self) -> Trial | None:
@@ -142,7 +147,7 @@ class SweepRecord:
 
     def state(self) -> str:
         """The current state: running; finished; or stopped, if trials are missing and no process runs it."""
-        if is_running(Path(self.folder)):
+        if FileLock(Path(self.folder) / LOCK).is_locked():
             return "running"
         missing = self.ended < self.asked or (self.wants_final and self.final is None and bool(self.ranked))
         return "stopped" if missing else "finished"
@@ -191,17 +196,6 @@ def merit(values: Sequence[float], directions: Sequence[str]) -> tuple[float, ..
     return tuple(
         -value if direction == "maximize" else value for value, direction in zip(values, directions, strict=True)
     )
-
-
-def rank(trials: Sequence[Trial], directions: Sequence[str]) -> list[Trial]:
-    """The complete trials, the best first: by the first objective, then the next, then by number."""
-    complete = [(merit(trial.values, directions), trial.number, trial) for trial in trials if trial.values is not None]
-    return [trial for *_, trial in sorted(complete, key=lambda each: each[:2])]
-
-
-def is_running(folder: Path) -> bool:
-    """Whether a process runs the sweep in this folder."""
-    return FileLock(folder / LOCK).is_locked()
 
 
 def sweep_folder(run: RunSummary) -> Path | None:

@@ -219,10 +219,8 @@ def _dots(
 ) -> None:
     """A row for each contender: the value of every seed as a dot, below them the estimate as a cross.
 
-    Args:
-        values: of the runs of each contender; None: no dot.
-        estimates: one for each contender; None: no cross.
-        span: of the axis, to separate nearly equal dots.
+    `values` are those of the runs of each contender; None: no dot or cross. `span` of the axis separates nearly equal
+    dots.
     """
     axes, count = drawing.axes, len(comparison.contenders)
     for series, (contender, found) in enumerate(zip(comparison.contenders, estimates, strict=True)):
@@ -334,13 +332,9 @@ def heat_map(
     neutral: float | None = None,
     larger_is_better: bool = True,
 ) -> None:
-    """Draw estimates as shaded cells.
+    """Draw estimates as shaded cells: rows of a label and an estimate for each column.
 
-    Args:
-        rows: label, and an estimate for each column.
-        neutral: value without shade; better values are blue, worse ones red, fully at a distance of 1. None: shades
-            from 0 to 1.
-        larger_is_better: whether larger values are better.
+    Values better than `neutral` are blue, worse ones red, fully at a distance of 1. Without it shades go from 0 to 1.
     """
     from matplotlib.colors import LinearSegmentedColormap  # noqa: PLC0415  (takes half a second)
 

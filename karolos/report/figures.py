@@ -69,11 +69,8 @@ def style(series: int) -> dict[str, Any]:
 class Drawing:
     """A figure with one set of axes, whose parts a page can address by class.
 
-    Args:
-        name: of its files, without extension.
-        title: stands above the axes.
-        caption: stands below the figure in a page.
-        series: the contender that the whole figure shows, if it shows only one.
+    `name` is that of its files, without extension. In a page the caption stands below it. `series` is the contender
+    that the whole figure shows, if it shows only one.
     """
 
     def __init__(self, name: str, title: str, caption: str, series: int | None = None) -> None:
@@ -170,12 +167,8 @@ def write_plots(plots: Mapping[str, Figure], folder: Path) -> None:
 def write_figures(drawings: Sequence[Drawing], folder: Path, *, width: float = WIDTH, font: float = FONT) -> list[Path]:
     """Write figures into `folder` as SVG, PDF and PNG; returns the files. A missing folder is created.
 
-    Args:
-        drawings: the figures. They keep the written size.
-        width: of a figure in inches; the height follows.
-        font: size of the text in points; titles are a little larger.
-
-    Raises MachineError if they cannot be written.
+    `width` is that of a figure in inches, the height follows. `font` is the size of the text in points. The drawings
+    keep both. Raises MachineError if they cannot be written.
     """
     with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)

@@ -60,12 +60,9 @@ def document(
 ) -> str:
     """An HTML file. Every text in it is escaped, and cleaned of characters that control a terminal or reorder a line.
 
-    Its security policy allows only inline styles and pictures, which matplotlib's figures need.
-
-    Args:
-        what: content of the page; stands below the title with karolos's version.
-        warnings: stand above the sections.
-        contenders: labels for check boxes that show or hide a contender, by the style sheet without scripts.
+    Its security policy allows only inline styles and pictures, which matplotlib's figures need. `what` it contains
+    stands below the title, `warnings` above the sections. `contenders` are labels of check boxes that show or hide a
+    contender, by the style sheet without scripts.
     """
     template = templates(FOLDER).get_template("page.html")
     return template.render(title=title, what=what, sections=sections, warnings=warnings, contenders=contenders)

@@ -34,13 +34,9 @@ Columns = dict[str, Callable[[T], str]]
 
 @dataclass(frozen=True)
 class Table:
-    """Texts in rows under column headings.
+    """Texts in rows under column headings. If all of these are empty, the table is shown without them.
 
-    Args:
-        columns: headings; all empty: the table is shown without them.
-        rows: as many cells as columns in each.
-        title: stands above the table, if it is not empty.
-        optional: columns that a narrow terminal leaves out, in this order.
+    A narrow terminal leaves out the `optional` columns, in this order.
     """
 
     columns: Sequence[str]

@@ -169,8 +169,7 @@ class Database:
     def _check_schema(self, connection: Connection, upgrade: bool) -> bool:
         """Whether the tables exist; False for an empty database, and for an older one with `upgrade`.
 
-        Raises:
-            StoreError: the database belongs to another program or has another schema.
+        Raises StoreError if the database belongs to another program or has another schema.
         """
         tables = set(inspect(connection).get_table_names())
         if SCHEMA_VERSION.name not in tables:

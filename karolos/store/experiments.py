@@ -55,18 +55,11 @@ def find_experiments(
     offset: int = 0,
     limit: int = 50,
 ) -> ExperimentPage:
-    """A page of the experiments that have runs which match a filter, sorted.
+    """Up to `limit` experiments after the first `offset` that have runs which match a filter, as for `Store.runs`.
 
-    Args:
-        store: the index.
-        where: a filter, as for `Store.runs`.
-        trials: whether runs of sweeps' trials count.
-        order: one of ORDERS. Experiments without a value come last.
-        offset: experiments before the page.
-        limit: experiments of the page.
+    They are sorted by one of ORDERS; those without a value come last. Runs of sweeps' trials count only with `trials`.
 
-    Raises:
-        UsageError: the order is unknown, or the filter cannot be read or names what no run has.
+    Raises UsageError if the order is unknown, or the filter cannot be read or names what no run has.
     """
     if order not in ORDERS:
         raise UsageError(f"experiments cannot be sorted by {order!r}", hint=alternatives(order, ORDERS, what="orders"))
@@ -137,14 +130,11 @@ def success_densities(
 ) -> tuple[Density, ...]:
     """The density of the success ratios at each step. New densities are stored in the database.
 
-    A stored density is used if its ratios are the same. If the database cannot be written, the numbers do not change.
+    A stored density is used if its ratios are the same. If the database cannot be written, the numbers do not change;
+    without a store every density is computed.
 
-    Args:
-        store: None computes every density.
-        experiment: hash.
-        counting: any or end.
-        ratios: environment steps of training -> success ratio of each run.
-        reported: whether these are the reported ratios of the runs, not those of a test during training.
+    `counting` is any or end, `ratios` maps environment steps of training to the success ratio of each run. If
+    `reported`, they are the reported ratios of the runs, not those of a test during training.
     """
     key = {"experiment": experiment, "counting": counting, "reported": reported}
     query = select(SUCCESSES).where(*(SUCCESSES.c[name] == value for name, value in key.items()))

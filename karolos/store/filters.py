@@ -143,11 +143,7 @@ class FilterComparison:
 
 
 def parse(text: str) -> Filter:
-    """Read a filter.
-
-    Raises:
-        UsageError: it cannot be read; names the column, from 1, and what is allowed there.
-    """
+    """Read a filter. Raises UsageError with the column, from 1, and what is allowed there, if it cannot be read."""
     if len(text) > LONGEST:
         raise UsageError(f"the filter has {len(text):,} characters", hint=f"up to {LONGEST:,} are read")
     if not (tokens := list(_tokens(text))):

@@ -57,13 +57,10 @@ class _FoundFolder:
 def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | None, Reindexed | None]:
     """The index of a runs folder, or None if there are no runs. A missing one is rebuilt, with a report of that.
 
-    Args:
-        runs: the runs folder.
-        database: URL of the database; by default the one in the runs folder.
+    `database` is its URL, by default that of the one in the runs folder.
 
-    Raises:
-        UsageError: there is no such folder, and it is not the default one.
-        StoreError: the database cannot be read or written.
+    Raises UsageError if there is no such folder and it is not the default one, StoreError if the database cannot be
+    read or written.
     """
     root = Path(runs)
     if not os.path.isdir(root) and database is None and root != Path("runs"):
@@ -78,11 +75,7 @@ def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | N
 
 
 def reindex(store: Store, runs: str | Path) -> Reindexed:
-    """Make the index agree with the folders in `runs`; runs in other folders stay as they are.
-
-    Raises:
-        StoreError: the database cannot be written.
-    """
+    """Make the index agree with the folders in `runs`; runs in other folders stay as they are. Raises StoreError."""
     root = Path(runs).resolve()
     known: set[str] = set()
     problems: list[str] = []
@@ -131,9 +124,7 @@ def check(store: Store, runs: str | Path) -> Iterator[Difference]:
 def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
     """The run folders in a runs folder, by name and in groups. A second folder of the same run is a problem.
 
-    Args:
-        root: the runs folder.
-        locked: also read folders of runs that a process is working on.
+    If `locked`, also those of runs that a process is working on are read.
     """
     known: dict[str, str] = {}
     folders = (_read(path, locked) for path in paths(root))

@@ -67,18 +67,12 @@ def runs(
     limit: int | None = None,
     trials: bool = False,
 ) -> Records:
-    """The recorded runs, the newest first, as `karolos runs list` lists them.
+    """The recorded runs, the newest first, as `karolos runs list` lists them; those of sweeps only with `trials`.
 
-    Args:
-        where: a filter as of `karolos runs list`, e.g. "task=reach and agent.learning_rate<1e-2"; all runs by default.
-        runs: the runs folder.
-        database: URL of the database; by default the one in the runs folder.
-        limit: at most this many runs.
-        trials: also the runs of sweeps' trials.
+    `where` is a filter as of that command, e.g. "task=reach and agent.learning_rate<1e-2". `database` is a URL, by
+    default that of the index in the folder `runs`.
 
-    Raises:
-        UsageError: the filter cannot be read, or there is no such folder.
-        StoreError: the database cannot be read.
+    Raises UsageError if the filter cannot be read or the folder is missing, StoreError if the database cannot be read.
     """
     with index(runs, database) as store:
         if store is None:
@@ -106,8 +100,7 @@ def prepare_index(runs: Path, url: str) -> None:
 def column_values(store: Store, found: Sequence[RunSummary], columns: Sequence[str]) -> list[dict[str, Any]]:
     """One row per run with these columns: fields of RunSummary, settings by their key paths, means of measures.
 
-    Raises:
-        UsageError: no run has a column.
+    Raises UsageError if no run has a column.
     """
     columns = [column.strip() for column in columns]
     rows = [_row(record) for record in store.records(found)]
@@ -139,11 +132,7 @@ def find_meant(selector: str, store: Store | None, runs: str | Path) -> RunSumma
     """The one run that a selector means: a path, what `find` takes, or the name of a shipped run.
 
     An own run comes before a shipped run of the same name, except with `shipped:NAME`. Errors name `runs` if there is
-    no index.
-
-    Raises:
-        UsageError: it means no run, or several.
-        RunError: the folder is damaged.
+    no index. Raises UsageError if it means no run or several, RunError if the folder is damaged.
     """
     if is_run_folder(selector):
         return RunFolder.open(selector).summary()
@@ -193,17 +182,11 @@ def select(store: Store, selector: str, *, or_trial: bool = False) -> tuple[RunS
     4. the beginning of an experiment's hash (6 digits or more): all its runs
     5. the beginning of a run's id
 
-    A spec file means all runs of its experiment.
+    A spec file means all runs of its experiment. With `or_trial`, the name of a sweep's best spec that no run has means
+    the trial that the final phase chose.
 
-    Args:
-        store: the index.
-        selector: the text.
-        or_trial: if no run has the name of a sweep's best spec, this name means the trial that the final phase chose.
-
-    Raises:
-        NoSuchRunError: it means no run, or a run folder that the index does not have.
-        RunError: it is a run folder that is damaged.
-        UsageError: it is the beginning of several ids or hashes.
+    Raises NoSuchRunError if it means no run, or a run folder that the index does not have; RunError if that is damaged;
+    UsageError if it is the beginning of several ids or hashes.
     """
     last = _LAST.fullmatch(selector)
     if last:

@@ -89,11 +89,7 @@ class Store(Database):
             _for_each(connection, delete(SUCCESSES).where(SUCCESSES.c.experiment == bindparam("one")), stale)
 
     def refresh_labels(self, folder: RunFolder) -> None:
-        """Copy a run's tags and note from its folder.
-
-        Raises:
-            StoreError: the run is not in the database.
-        """
+        """Copy a run's tags and note from its folder. Raises StoreError if the run is not in the database."""
         with self.writing() as connection:
             change = update(RUNS).where(RUNS.c.run == folder.id).values(asdict(folder.labels()))
             if not connection.execute(change).rowcount:
@@ -128,22 +124,14 @@ class Store(Database):
         """Runs that meet all conditions, the newest first.
 
         If the index says that a run is unfinished and no process runs it, the state is read from its folder: `lost`, or
-        an end that was not indexed.
+        an end that was not indexed. `prefix` is the beginning of an id, `experiment` that of a hash. `trials` are runs
+        of sweeps' trials: only these, or none of them.
 
-        Args:
-            ids: only these runs.
-            prefix: only runs whose id begins with this.
-            experiment: only runs whose experiment's hash begins with this.
-            name: only runs of experiments of this name.
-            state: only runs in this state, `lost` included.
-            where: a filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their
-                key paths (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force).
-            trials: True: only runs of sweeps' trials; False: only other runs.
-            limit: at most this many runs.
+        `where` is a filter (`karolos.store.filters`) over the fields of RunSummary, the settings of the spec by their
+        key paths (agent.learning_rate), versions.<package>, and the means of measures (measures.peak_force).
 
-        Raises:
-            UsageError: the state is unknown, or the filter cannot be read, names what no run has, or compares a number
-                with a text.
+        Raises UsageError if the state is unknown, or the filter cannot be read, names what no run has, or compares a
+        number with a text.
         """
         if state is not None and state not in STATES:
             raise UsageError(f"there is no state {state!r}", hint=alternatives(state, STATES, what="states"))

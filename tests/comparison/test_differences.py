@@ -60,20 +60,10 @@ def side(name: str = "one", **values: object) -> Side:
     )  # type: ignore[arg-type]
 
 
-def found(one: Side, other: Side) -> list[tuple[object, ...]]:
-    rows = compare_sides(one, other)
-    return [
-        (row["part"], row["key"], *(MISSING if row["missing"] == side else row[side] for side in "ab")) for row in rows
-    ]
-
-
-def test_changed_files_are_compared_one_by_one():
-    assert found(side(patch=PATCH + MORE), side(patch=MORE)) == [("code", "x.py", "changed: +2 -1", MISSING)]
-    assert found(side(patch=PATCH), side(patch=PATCH.replace("newer", "other"))) == [
-        ("code", "x.py", "changed: +2 -1", "changed: +2 -1")
-    ]
-
-
-def test_row_says_which_side_misses_a_key():
-    [row] = compare_sides(side(spec={"a": None}), side("two"))
-    assert row == {"part": "spec", "key": "a", "a": None, "b": None, "missing": "b"}
+def test_each_changed_file_is_a_row_that_says_which_side_misses_its_key():
+    change = {"part": "code", "key": "x.py", "a": "changed: +2 -1", "missing": None}
+    other = side("two", patch=PATCH.replace("newer", "other"))
+    assert list(compare_sides(side(patch=PATCH), other)) == [change | {"b": "changed: +2 -1"}]
+    assert list(compare_sides(side(patch=PATCH + MORE), side(patch=MORE))) == [change | {"b": None, "missing": "b"}]
+    missing = {"part": "spec", "key": "a", "a": None, "b": None, "missing": "b"}
+    assert list(compare_sides(side(spec={"a": None}), side("two"))) == [missing]

@@ -4,11 +4,13 @@ import io
 import json
 import os
 import random
+import shutil
 import subprocess
 import sys
 import tarfile
 from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
 import pytest
 from support.run_samples import new_run, result
@@ -18,7 +20,9 @@ from karolos.errors import MachineError, RunError, UsageError
 from karolos.records import RunFolder, labels
 from karolos.records.archive import export_runs, import_runs
 
-DESCRIPTION = {"format": 1, "id": "a-s0-1", "name": "a", "seed": 0, "experiment": "x", "created": "2026-01-01"}
+DESCRIPTION = json.dumps(
+    {"format": 1, "id": "a-s0-1", "name": "a", "seed": 0, "experiment": "x", "created": "2026-01-01"}
+).encode()
 
 
 @pytest.fixture
@@ -39,15 +43,33 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {str(path.relative_to(folder)): path.read_bytes() for path in files if not path.name.endswith("lock")}
 
 
-def pack(path: Path, files: dict[str, bytes]) -> Path:
-    """An archive with these names, whatever they are, and the list of them."""
-    sums = "".join(f"{sha256(data).hexdigest()}  {name}\n" for name, data in files.items())
-    with tarfile.open(path, "w:gz") as tar:
-        for name, data in {**files, "SHA256SUMS": sums.encode()}.items():
-            entry = tarfile.TarInfo(name)
+def pack(path: Path, members: list[tuple[str | tarfile.TarInfo, bytes]], sums: list[str] | None = None) -> Path:
+    """An archive with these members, whatever they are, and the list of them, or these lists."""
+    if sums is None:
+        sums = ["".join(f"{sha256(data).hexdigest()}  {name}\n" for name, data in members)]
+    with tarfile.open(path, "w:gz", format=tarfile.PAX_FORMAT) as tar:
+        for name, data in [*members, *(("SHA256SUMS", one.encode()) for one in sums)]:
+            entry = name if isinstance(name, tarfile.TarInfo) else tarfile.TarInfo(name)
             entry.size = len(data)
             tar.addfile(entry, io.BytesIO(data))
     return path
+
+
+def member(**about: Any) -> tarfile.TarInfo:
+    """A member run.json that is not a plain file."""
+    entry = tarfile.TarInfo("a-s0-1/run.json")
+    for name, value in about.items():
+        setattr(entry, name, value)
+    return entry
+
+
+def two_runs(run: RunFolder, place: Path) -> Path:
+    """An archive of a copy of the run with another id, and then the run."""
+    path = shutil.copytree(run.path, place / "reach-s3-z")
+    about = json.loads((path / "run.json").read_text())
+    (path / "run.json").write_text(json.dumps(about | {"id": path.name}))
+    export_runs([RunFolder.open(path), run], place / "two.tar.gz")
+    return place / "two.tar.gz"
 
 
 def test_runs_come_out_as_they_went_in(run, tmp_path):
@@ -144,45 +166,39 @@ def test_an_archive_holds_the_files_of_runs_and_no_others(run, tmp_path):
         assert not {f"{run.id}/evil.py", f"{run.id}/state.txt", f"{run.id}/stop"} & set(tar.getnames())
 
 
+RUN = "a-s0-1/run.json"
+GOOD = f"{sha256(DESCRIPTION).hexdigest()}  {RUN}\n"
+NAMES = (
+    *("../evil", "/etc/evil", "evil", ".trash/x", "a-s0-1", "a-s0-1/", "a-s0-1/evil.py", "a-s0-1/__init__.py"),
+    *("a-s0-1/../../evil", "a-s0-1/\x1b[2J", "a-s0-1/x\\..\\..\\evil", "a-s0-1/RUN.json", "a-s0-1/run.json\n"),
+    *("a-s0-1/checkpoints/best/evil.py", "a-s0-1/checkpoints/../run.json", "a-s0-1/tensorboard/x/run.json"),
+)
+KINDS = (tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE, tarfile.DIRTYPE)
+LISTS = ([], [GOOD.replace("run", "state")], [GOOD + GOOD.replace("run", "state")], [""], [GOOD, GOOD])
+
+
 @pytest.mark.parametrize(
-    "name",
+    ("members", "lists", "told"),
     [
-        *("../evil", "/etc/evil", "evil", ".trash/x", "a-s0-1", "a-s0-1/", "a-s0-1/evil.py", "a-s0-1/__init__.py"),
-        *("a-s0-1/../../evil", "a-s0-1/\x1b[2J", "a-s0-1/x\\..\\..\\evil", "a-s0-1/RUN.json", "a-s0-1/run.json\n"),
-        *("a-s0-1/checkpoints/best/evil.py", "a-s0-1/checkpoints/../run.json", "a-s0-1/tensorboard/x/run.json"),
+        *(([(RUN, DESCRIPTION), (name, b"evil")], None, "is not a file of a run") for name in NAMES),
+        *(([(member(type=kind, linkname="/etc/passwd"), b"")], None, "is not a plain file") for kind in KINDS),
+        *(([(RUN, DESCRIPTION)], one, "is missing|is not what SHA256SUMS says|after its last member") for one in LISTS),
+        ([("a-s0-1/code.diff", bytes(3_000_000))], None, "it unpacks to more than 2,000,000 bytes"),
+        ([(member(pax_headers={"comment": "x" * 3_000_000}), b"")], None, "a header is too large"),
+        ([("a-s0-1/code.diff", b"")], None, "a-s0-1: this is not a run folder"),
+        ([(RUN, b"{")], None, "a-s0-1: run.json is damaged"),
+        ([("b-s0-1/run.json", DESCRIPTION)], None, "says that it is the run a-s0-1"),
+        ([(RUN, DESCRIPTION.replace(b'"format": 1', b'"format": 99'))], None, "a newer karolos made"),
+        ([], None, "it contains no run"),
     ],
 )
-def test_a_file_that_no_run_has_is_refused(tmp_path, name):
-    source = pack(tmp_path / "x.tar.gz", {"a-s0-1/run.json": json.dumps(DESCRIPTION).encode(), name: b"evil"})
-    with pytest.raises(UsageError, match="is not a file of a run"):
-        import_runs(source, tmp_path / "in" / "runs")
-    assert list((tmp_path / "in").rglob("*")) == [tmp_path / "in" / "runs"]
-    assert not (tmp_path / "evil").exists()
-
-
-@pytest.mark.parametrize("kind", [tarfile.SYMTYPE, tarfile.LNKTYPE, tarfile.FIFOTYPE, tarfile.CHRTYPE, tarfile.DIRTYPE])
-def test_link_or_device_is_refused(tmp_path, kind):
-    with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
-        entry = tarfile.TarInfo("a-s0-1/run.json")
-        entry.type, entry.linkname = kind, "/etc/passwd"
-        tar.addfile(entry)
-    with pytest.raises(UsageError, match="is not a plain file"):
-        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
-    assert list((tmp_path / "runs").iterdir()) == []
-
-
-def test_a_list_of_files_that_is_missing_wrong_or_not_the_last_is_refused(tmp_path):
-    description = json.dumps(DESCRIPTION).encode()
-    good = f"{sha256(description).hexdigest()}  a-s0-1/run.json\n"
-    for lists in ([], [good.replace("run", "state")], [good + good.replace("run", "state")], [""], [good, good]):
-        with tarfile.open(tmp_path / "x.tar.gz", "w:gz") as tar:
-            for name, data in [("a-s0-1/run.json", description), *(("SHA256SUMS", one.encode()) for one in lists)]:
-                entry = tarfile.TarInfo(name)
-                entry.size = len(data)
-                tar.addfile(entry, io.BytesIO(data))
-        with pytest.raises(UsageError, match=r"is missing|is not what SHA256SUMS says|data after its last member"):
-            import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
-        assert list((tmp_path / "runs").iterdir()) == []
+def test_an_archive_with_anything_but_the_listed_files_of_runs_is_refused_and_leaves_nothing(
+    tmp_path, members, lists, told
+):
+    source, runs = pack(tmp_path / "x.tar.gz", members, lists), tmp_path / "in" / "runs"
+    with pytest.raises(UsageError, match=told):
+        import_runs(source, runs, most_bytes=2_000_000)
+    assert sorted(tmp_path.rglob("*")) == [tmp_path / "in", runs, source]
 
 
 def test_what_follows_the_stream_is_refused(run, tmp_path):
@@ -193,22 +209,6 @@ def test_what_follows_the_stream_is_refused(run, tmp_path):
         with pytest.raises(UsageError, match=r"data after its last member|cannot be read"):
             import_runs(tmp_path / "y.tar.gz", tmp_path / "other")
         assert list((tmp_path / "other").iterdir()) == []
-
-
-def test_archive_that_unpacks_to_too_much_is_refused(tmp_path):
-    bomb = pack(tmp_path / "x.tar.gz", {"a-s0-1/code.diff": bytes(3_000_000)})
-    with pytest.raises(UsageError, match="it unpacks to more than 2,000,000 bytes"):
-        import_runs(bomb, tmp_path / "runs", most_bytes=2_000_000)
-    assert list((tmp_path / "runs").iterdir()) == []
-
-
-def test_a_header_that_fills_the_memory_is_refused(tmp_path):
-    with tarfile.open(tmp_path / "x.tar.gz", "w:gz", format=tarfile.PAX_FORMAT) as tar:
-        entry = tarfile.TarInfo("a-s0-1/run.json")
-        entry.pax_headers = {"comment": "x" * 3_000_000}
-        tar.addfile(entry)
-    with pytest.raises(UsageError, match="a header is too large"):
-        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
 
 
 def test_damaged_archive_is_told_and_brings_nothing(run, tmp_path):
@@ -230,15 +230,9 @@ def test_damaged_archive_is_told_and_brings_nothing(run, tmp_path):
 
 
 def test_run_that_is_here_is_refused_and_the_others_do_not_come(run, tmp_path):
-    with new_run(tmp_path / "second", source=tmp_path) as other:
-        pass
-    other.path.rename(tmp_path / "second" / "reach-s3-z")
-    file = tmp_path / "second" / "reach-s3-z" / "run.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"id": "reach-s3-z"}))
-    export_runs([RunFolder.open(tmp_path / "second" / "reach-s3-z"), run], tmp_path / "x.tar.gz")
     before = contents(tmp_path / "runs")
     with pytest.raises(UsageError, match=f"the run {run.id} exists already"):
-        import_runs(tmp_path / "x.tar.gz", tmp_path / "runs")
+        import_runs(two_runs(run, tmp_path), tmp_path / "runs")
     assert contents(tmp_path / "runs") == before
 
 
@@ -251,30 +245,7 @@ def test_torn_lines_come_in_and_are_told(run, tmp_path):
     assert len(came.tests) == 1
 
 
-@pytest.mark.parametrize(
-    ("files", "told"),
-    [
-        ({"a-s0-1/code.diff": b""}, "a-s0-1: this is not a run folder"),
-        ({"a-s0-1/run.json": b"{"}, "a-s0-1: run.json is damaged"),
-        ({"b-s0-1/run.json": json.dumps(DESCRIPTION).encode()}, "says that it is the run a-s0-1"),
-        ({"a-s0-1/run.json": json.dumps(DESCRIPTION | {"format": 99}).encode()}, "a newer karolos made"),
-        ({}, "it contains no run"),
-    ],
-)
-def test_folder_that_is_no_run_is_refused(tmp_path, files, told):
-    with pytest.raises(UsageError) as caught:
-        import_runs(pack(tmp_path / "x.tar.gz", files), tmp_path / "runs")
-    assert told in str(caught.value)
-    assert list((tmp_path / "runs").iterdir()) == []
-
-
 def test_an_error_between_two_runs_takes_back_the_first(run, tmp_path, monkeypatch):
-    export_runs([run], tmp_path / "x.tar.gz")
-    (second,) = import_runs(tmp_path / "x.tar.gz", tmp_path / "second")
-    path = Path(second.summary.folder).rename(tmp_path / "second" / "reach-s3-z")
-    description = json.loads((path / "run.json").read_text())
-    (path / "run.json").write_text(json.dumps({**description, "id": path.name}))
-    export_runs([RunFolder.open(path), run], tmp_path / "y.tar.gz")
     rename, into = system.replace, tmp_path / "other"
 
     def fail(source: Path, target: Path) -> None:
@@ -284,5 +255,5 @@ def test_an_error_between_two_runs_takes_back_the_first(run, tmp_path, monkeypat
 
     monkeypatch.setattr(system, "replace", fail)
     with pytest.raises(MachineError, match="disk is full"):
-        import_runs(tmp_path / "y.tar.gz", into)
+        import_runs(two_runs(run, tmp_path), into)
     assert list(into.iterdir()) == []

@@ -1,6 +1,3 @@
-import subprocess
-import sys
-
 import pytest
 
 from karolos.errors import RunError, UsageError
@@ -39,11 +36,3 @@ def test_damaged_labels_are_not_written_over(tmp_path, text):
     with pytest.raises(RunError, match=r"labels\.json is damaged; repair it, or move it away"):
         labels.add_tags(tmp_path, ["x"])
     assert (tmp_path / "labels.json").read_text() == text
-
-
-def test_processes_that_tag_at_once_lose_nothing(tmp_path):
-    script = "import sys, pathlib; from karolos.records import labels\n"
-    script += "for n in range(5): labels.add_tags(pathlib.Path(sys.argv[1]), [f'{sys.argv[2]}-{n}'])"
-    writers = [subprocess.Popen([sys.executable, "-c", script, str(tmp_path), str(index)]) for index in range(4)]
-    assert [writer.wait(60) for writer in writers] == [0] * 4
-    assert len(labels.read(tmp_path).tags) == 20

@@ -6,6 +6,7 @@ from importlib import metadata
 from pathlib import Path
 
 import pytest
+from support.run_samples import new_run
 
 from karolos.errors import recorded
 from karolos.records import provenance
@@ -35,14 +36,15 @@ def test_clean_work_tree_has_a_commit_and_no_diff(work_tree):
     assert (commit["dirty"], diff, commit["untracked"]) == (False, "", [])
 
 
-def test_changes_are_kept_as_a_diff_and_new_files_are_named(work_tree):
+def test_a_run_keeps_changes_as_a_diff_and_the_names_of_new_files(work_tree, tmp_path_factory):
     (work_tree / "robot.py").write_text("speed = 2\nurl = 'https://me:secret@example.org'\n")
     (work_tree / "new file.py").write_text("")
     for name in (".env", "deploy.PEM", "home/.ssh/config", "my_credentials.yaml"):
         (work_tree / name).parent.mkdir(parents=True, exist_ok=True)
         (work_tree / name).write_text("1")
         git(work_tree, "add", name)
-    commit, diff = provenance.code(work_tree) or ({}, "")
+    run = new_run(tmp_path_factory.mktemp("runs"), source=work_tree)
+    commit, diff = run.description()["git"], (run.path / "code.diff").read_text()
     assert commit["dirty"]
     assert "+speed = 2" in diff
     assert "secret" not in diff
@@ -71,12 +73,10 @@ def test_programs_that_a_configuration_names_are_not_run(work_tree):
     assert not (work_tree / "sprung").exists()
 
 
-def test_folder_without_git_has_no_code(tmp_path, monkeypatch):
-    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(tmp_path.parent))
-    assert provenance.code(tmp_path) is None
-
-
-def test_machine_without_git_has_no_code(work_tree, monkeypatch):
+def test_folder_or_machine_without_git_has_no_code(work_tree, tmp_path_factory, monkeypatch):
+    outside = tmp_path_factory.mktemp("outside")
+    monkeypatch.setenv("GIT_CEILING_DIRECTORIES", str(outside.parent))
+    assert provenance.code(outside) is None
     monkeypatch.setenv("PATH", "")
     assert provenance.code(work_tree) is None
 

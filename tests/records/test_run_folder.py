@@ -1,8 +1,8 @@
 import json
 import os
-import subprocess
 import sys
 from datetime import UTC, datetime, timedelta, timezone
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -15,6 +15,11 @@ from karolos.errors import MachineError, RunError
 from karolos.records import RunFolder, run_folder, scan
 from karolos.records.run_records import timestamp
 from karolos.system.files import read_values
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> RunFolder:
+    return new_run(tmp_path)
 
 
 def test_collision_adds_a_number(tmp_path, monkeypatch):
@@ -53,19 +58,6 @@ def test_folder_says_what_the_run_was_made_from(tmp_path):
     assert "remote" not in text
 
 
-def test_changed_code_is_kept_beside_the_commit(tmp_path):
-    tree = tmp_path / "tree"
-    tree.mkdir()
-    (tree / "a.py").write_text("1\n")
-    identity = ["-c", "user.name=a", "-c", "user.email=a@b"]
-    for command in (["init"], ["add", "."], [*identity, "commit", "-m", "first"]):
-        subprocess.run(["git", *command], cwd=tree, check=True, capture_output=True)
-    (tree / "a.py").write_text("2\n")
-    run = new_run(tmp_path / "runs", source=tree)
-    assert run.description()["git"]["dirty"]
-    assert "+2" in (run.path / "code.diff").read_text()
-
-
 def test_folder_is_no_run_before_it_is_described(tmp_path):
     run = RunFolder.create(tmp_path, "x", 0)
     assert list(scan(tmp_path)) == []
@@ -73,8 +65,7 @@ def test_folder_is_no_run_before_it_is_described(tmp_path):
         RunFolder.open(run.path)
 
 
-def test_state_is_kept_and_steps_stay_when_not_given(tmp_path):
-    run = new_run(tmp_path)
+def test_state_is_kept_and_steps_stay_when_not_given(run):
     assert run.state().state == "created"
     run.set_state("running")
     run.set_state("running", steps=50, seconds=1.5)
@@ -85,11 +76,18 @@ def test_state_is_kept_and_steps_stay_when_not_given(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("stored", "seen"),
-    [("created", "created"), ("running", "lost"), ("finished", "finished"), ("stopped", "stopped")],
+    ("stored", "processes", "seen"),
+    [
+        ("created", 1, "created"),
+        ("created", 2, "lost"),  # its second process died before it resumed
+        ("running", 1, "lost"),
+        ("finished", 1, "finished"),
+        ("stopped", 1, "stopped"),
+    ],
 )
-def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(tmp_path, stored, seen):
-    run = new_run(tmp_path)
+def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(run, stored, processes, seen):
+    for _ in range(1, processes):
+        run.next_attempt()
     run.set_state(stored)
     assert RunFolder.open(run.path).state().state == stored
     run.release()
@@ -97,15 +95,7 @@ def test_run_that_nobody_runs_is_lost_unless_it_ended_or_waits_for_its_start(tmp
     assert json.loads((run.path / "state.json").read_text())["state"] == stored  # a reader writes nothing
 
 
-def test_run_whose_second_process_died_before_it_resumed_is_lost(tmp_path):
-    run = new_run(tmp_path)
-    run.next_attempt()
-    run.release()
-    assert RunFolder.open(run.path).state().state == "lost"
-
-
-def test_run_that_ends_between_two_looks_is_not_lost(tmp_path, monkeypatch):
-    run = new_run(tmp_path)
+def test_run_that_ends_between_two_looks_is_not_lost(run, monkeypatch):
     run.set_state("running")
     reader = RunFolder.open(run.path)
 
@@ -118,8 +108,7 @@ def test_run_that_ends_between_two_looks_is_not_lost(tmp_path, monkeypatch):
     assert reader.state().state == "finished"
 
 
-def test_second_process_on_a_run_is_refused(tmp_path):
-    run = new_run(tmp_path)
+def test_second_process_on_a_run_is_refused(run):
     other = RunFolder.open(run.path)
     with pytest.raises(RunError, match="another process is running it"):
         other.lock()
@@ -131,15 +120,13 @@ def test_second_process_on_a_run_is_refused(tmp_path):
     other.release()
 
 
-def test_repeated_test_replaces_the_first(tmp_path):
-    run = new_run(tmp_path)
+def test_repeated_test_replaces_the_first(run):
     for each in (result(100, 3), result(200, 4), result(100, 5)):
         run.add_test(each)
     assert run.tests() == (result(100, 5), result(200, 4))
 
 
-def test_torn_test_is_told_and_the_rest_is_read(tmp_path):
-    run = new_run(tmp_path)
+def test_torn_test_is_told_and_the_rest_is_read(run):
     run.add_test(result(100, 3))
     with (run.path / "tests.jsonl").open("a") as file:
         file.write('{"steps":1}\n{"steps":200,"any":[1,')
@@ -169,8 +156,7 @@ def test_the_process_that_runs_it_reads_its_tests_once(tmp_path, monkeypatch):
     assert run.tests() == (result(100, 3), result(200, 3), result(300, 4))
 
 
-def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path):
-    run = new_run(tmp_path)
+def test_sound_folder_has_no_problems_and_missing_files_are_named(run):
     run.event("started", processes=2)
     assert run.record().problems == ()
     assert [(event["event"], event["processes"]) for event in run.events()] == [("started", 2)]
@@ -182,8 +168,7 @@ def test_sound_folder_has_no_problems_and_missing_files_are_named(tmp_path):
     assert record.summary.state == "lost"
 
 
-def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path):
-    run = new_run(tmp_path)
+def test_summary_counts_success_of_the_last_test_and_the_first_at_95(run):
     before = run.summary()
     assert (before.success_any, before.success_end, before.steps_to_95, before.episodes) == (None, None, None, None)
     for each in (result(100, 19, end=18), result(200, 19), result(300, 20), result(400, 10)):
@@ -198,26 +183,23 @@ def test_summary_counts_success_of_the_last_test_and_the_first_at_95(tmp_path):
     json.dumps(row, allow_nan=False)
 
 
+VALID = '{"format":FORMAT,"id":"ID","name":"x","seed":0,"created":"","experiment":""}'
+
+
 @pytest.mark.parametrize(
-    "text",
-    ["", "[]", '{"id": "x"}', '{"format":1,"id":"../x","name":"x","seed":0,"created":"","experiment":""}', "\x00"],
+    ("text", "told"),
+    [
+        *((text, r"run\.json is damaged") for text in ("", "[]", '{"id": "x"}', "\x00")),
+        (VALID.replace("FORMAT", "1").replace("ID", "../x"), r"run\.json is damaged"),
+        (VALID.replace("FORMAT", "2").replace("ID", "x"), "newer karolos made this run folder; update"),
+    ],
 )
-def test_damaged_description_is_told_and_does_not_hide_the_others(tmp_path, text):
+def test_description_that_cannot_be_read_is_told_and_does_not_hide_the_others(tmp_path, text, told):
     good, bad = new_run(tmp_path), new_run(tmp_path)
     (bad.path / "run.json").write_text(text)
-    with pytest.raises(RunError, match=r"run\.json is damaged"):
+    with pytest.raises(RunError, match=told):
         RunFolder.open(bad.path)
-    found = {type(each) for each in scan(tmp_path)}
-    assert found == {RunFolder, RunError}
-    assert good.id in {each.id for each in scan(tmp_path) if isinstance(each, RunFolder)}
-
-
-def test_folder_of_a_newer_karolos_is_told(tmp_path):
-    run = new_run(tmp_path)
-    text = (run.path / "run.json").read_text().replace('"format": 1', '"format": 2')
-    (run.path / "run.json").write_text(text)
-    with pytest.raises(RunError, match="newer karolos made this run folder; update"):
-        RunFolder.open(run.path)
+    assert [getattr(each, "id", type(each)) for each in scan(tmp_path)] == [good.id, RunError]
 
 
 @given(st.datetimes(datetime(2000, 1, 1), datetime(2100, 1, 1)), st.timedeltas(), st.integers(-12, 12))
@@ -228,8 +210,7 @@ def test_timestamps_sort_like_times(first, later, hours):
     assert (timestamp(ours) == timestamp(theirs)) == (ours == theirs)
 
 
-def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(tmp_path):
-    run = new_run(tmp_path)
+def test_success_of_training_episodes_is_told_by_the_stage_that_they_began_in(run):
     assert run.stages(STAGE) == {}
     begun = [(1.0, 0.0, True), (0.0, 1.0, False), (0.0, 0.0, True), (1.0, 0.0, False)] * 3
     names = "task.start_grasped", "task.start_near"

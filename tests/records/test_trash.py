@@ -4,7 +4,7 @@ import pytest
 from support.run_samples import new_run, result
 
 from karolos.errors import RunError, UsageError
-from karolos.records import RunFolder, scan, trash
+from karolos.records import RunFolder, trash
 
 
 @pytest.fixture
@@ -15,37 +15,19 @@ def run(tmp_path: Path) -> RunFolder:
     return folder
 
 
-def test_run_comes_back_as_it_was(run, tmp_path):
-    before = run.record()
-    thrown = trash.throw_away(run)
-    assert thrown == tmp_path / ".trash" / run.id
-    assert list(scan(tmp_path)) == []
-    assert trash.thrown_away(tmp_path) == [thrown]
-    assert trash.restore(trash.find(tmp_path, run.id[:8])).record() == before
-    assert trash.thrown_away(tmp_path) == []
-
-
 def test_run_that_goes_on_stays(tmp_path):
     with new_run(tmp_path, source=tmp_path) as run, pytest.raises(RunError, match="another process is running it"):
         trash.throw_away(RunFolder.open(run.path))
     assert run.path.is_dir()
 
 
-def test_run_that_is_there_again_is_not_replaced(run, tmp_path):
-    thrown = trash.throw_away(run)
-    with new_run(tmp_path, source=tmp_path) as second:
-        pass
-    second.path.rename(tmp_path / run.id)
-    with pytest.raises(UsageError, match=f"there is a run {run.id} again"):
-        trash.restore(thrown)
-    assert thrown.is_dir()
-
-
-def test_run_thrown_away_twice_is_kept_twice(run, tmp_path):
+def test_run_that_is_there_again_is_not_replaced_and_kept_twice(run, tmp_path):
     first = trash.throw_away(run)
     with new_run(tmp_path, source=tmp_path) as second:
         pass
     second.path.rename(tmp_path / run.id)
+    with pytest.raises(UsageError, match=f"there is a run {run.id} again"):
+        trash.restore(first)
     again = trash.throw_away(RunFolder.open(tmp_path / run.id))
     assert {first.name, again.name} == {run.id, f"{run.id}-2"}
     assert trash.find(tmp_path, run.id) == first

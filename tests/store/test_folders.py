@@ -3,8 +3,9 @@
 import itertools
 import json
 import shutil
+import sqlite3
 import tempfile
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from hashlib import sha256
 from pathlib import Path
@@ -47,6 +48,16 @@ operations = st.lists(
 )
 
 
+CHANGES: dict[str, Callable[..., object]] = {
+    "test": lambda folder, steps, successes: folder.add_test(result(steps, successes)),
+    "state": lambda folder, state: folder.set_state(state, steps=7),
+    "tag": lambda folder, tag: labels.add_tags(folder.path, [tag]),
+    "untag": lambda folder, tag: labels.remove_tags(folder.path, [*folder.labels().tags[:1], tag]),
+    "note": lambda folder, note: labels.set_note(folder.path, note),
+}
+"""What changes a run in its folder."""
+
+
 @dataclass
 class World:
     """A runs folder and its index, changed as commands and runs do it."""
@@ -68,7 +79,17 @@ class World:
                 self.store.add_records([folder.record()])
                 self.folders.append(folder)
         elif self.folders:
-            getattr(self, f"_{operation}")(self.folders[values[0] % len(self.folders)], *values[1:])
+            folder = self.folders[values[0] % len(self.folders)]
+            if operation == "remove":
+                self.folders.remove(folder)
+                self.thrown.append(trash.throw_away(folder))
+                self.store.remove_runs([folder.id])
+                return
+            CHANGES[operation](folder, *values[1:])
+            if operation in ("test", "state"):
+                self.store.add_records([folder.record()])
+            else:
+                self.store.refresh_labels(folder)
 
     def _run(self, experiment: str, rate: float, version: str) -> None:
         folder = RunFolder.create(self.runs, "x", next(self.number))
@@ -80,31 +101,6 @@ class World:
         folder = RunFolder.open(folder.path)
         self.store.add_records([folder.record()])
         self.folders.append(folder)
-
-    def _test(self, folder: RunFolder, steps: int, successes: int) -> None:
-        folder.add_test(result(steps, successes))
-        self.store.add_records([folder.record()])
-
-    def _state(self, folder: RunFolder, state: str) -> None:
-        folder.set_state(state, steps=7)
-        self.store.add_records([folder.record()])
-
-    def _tag(self, folder: RunFolder, tag: str) -> None:
-        labels.add_tags(folder.path, [tag])
-        self.store.refresh_labels(folder)
-
-    def _untag(self, folder: RunFolder, tag: str) -> None:
-        labels.remove_tags(folder.path, [*folder.labels().tags[:1], tag])
-        self.store.refresh_labels(folder)
-
-    def _note(self, folder: RunFolder, note: str) -> None:
-        labels.set_note(folder.path, note)
-        self.store.refresh_labels(folder)
-
-    def _remove(self, folder: RunFolder) -> None:
-        self.folders.remove(folder)
-        self.thrown.append(trash.throw_away(folder))
-        self.store.remove_runs([folder.id])
 
 
 def densities(store: Store, experiment: str) -> list[tuple[float, float]]:
@@ -167,12 +163,13 @@ def test_check_names_every_kind_of_difference(tmp_path):
         untested.add_test(result(5, 3))
         labels.add_tags(labelled.path, ["good"])
         (torn.path / "tests.jsonl").write_text('{"steps":')
-        with store.engine.begin() as connection:
-            connection.exec_driver_sql("PRAGMA foreign_keys = OFF")
-            connection.exec_driver_sql("UPDATE specs SET content = '{}'")
+        with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:  # without its foreign keys
+            connection.execute("UPDATE specs SET content = '{}'")
+            connection.execute("INSERT INTO tests VALUES ('no run', 1, 1.0, 1, null, null, null, null, '{}')")
         found: dict[str | None, list[str]] = {}
         for one in check(store, tmp_path):
             found.setdefault(one.run, []).append(one.what)
+    assert found[None] == ["a row of tests refers to a missing row of runs"]
     others = "the settings of its spec differ in the database"
     assert found[unknown.id] == ["it has a folder, and is not in the database"]
     assert found[gone.id] == ["it is in the database, and its folder is gone"]
@@ -180,16 +177,6 @@ def test_check_names_every_kind_of_difference(tmp_path):
     assert any(what == "the tests differ in the database" for what in found[untested.id])
     assert "tags is ['good'] in its folder and [] in the database" in found[labelled.id]
     assert any("tests.jsonl:1: the last line is torn" in what for what in found[torn.id])
-
-
-def test_check_names_a_database_that_contradicts_itself(tmp_path):
-    with Store(Store.default_url(tmp_path)) as store:
-        World(tmp_path, store).apply("run", "a", 0.001, "1.0")
-        import sqlite3
-
-        with sqlite3.connect(tmp_path / "karolos.sqlite") as connection:
-            connection.execute("INSERT INTO tests VALUES ('no run', 1, 1.0, 1, null, null, null, null, '{}')")
-        assert [one.what for one in check(store, tmp_path)] == ["a row of tests refers to a missing row of runs"]
 
 
 def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path):
@@ -239,29 +226,21 @@ def test_reindex_forgets_what_is_gone_and_keeps_what_lies_elsewhere(tmp_path):
 
 
 DAMAGE = [
-    ("seed", "9" * 5000),
-    *(("seed", "-1"), ("seed", '"1"')),
-    ("experiment", "3"),
-    *(("versions", "[1]"), ("versions", '{"numpy": 2}')),
-    *(("git", '"abc"'), ("git", "[1]"), ("git", '{"commit": 7}')),
-    *(("command", "5"), ("command", "[1]")),
-    *(("created", "null"), ("created", '"\\ud800"')),
-    ("id", '"../x"'),
-    ("id", '"sweeps"'),
-]
-"""Values with which run.json is damaged."""
-MISREAD = [
-    ("state.json", "steps", "Infinity"),
-    ("state.json", "steps", str(1 << 64)),
+    *(("run.json", "seed", text) for text in ("9" * 5000, "-1", '"1"')),
+    ("run.json", "experiment", "3"),
+    *(("run.json", "versions", text) for text in ("[1]", '{"numpy": 2}')),
+    *(("run.json", "git", text) for text in ('"abc"', "[1]", '{"commit": 7}')),
+    *(("run.json", "command", text) for text in ("5", "[1]")),
+    *(("run.json", "created", text) for text in ("null", '"\\ud800"')),
+    *(("run.json", "id", text) for text in ('"../x"', '"sweeps"')),
+    *(("state.json", "steps", text) for text in ("Infinity", str(1 << 64))),
     ("state.json", "attempt", "null"),
     ("state.json", "state", '"done"'),
     ("state.json", "seconds", "1e999"),
     ("state.json", "error", '"\\ud800"'),
-    ("resolved.json", "note", "NaN"),
-    ("resolved.json", "note", '"\\ud800"'),
-    ("resolved.json", "note", "[" * 300 + "]" * 300),
+    *(("resolved.json", "note", text) for text in ("NaN", '"\\ud800"', "[" * 300 + "]" * 300)),
 ]
-"""Values with which another file is damaged."""
+"""Values with which a file of a run is damaged."""
 
 
 def put(folder: RunFolder, file: str, key: str, text: str) -> None:
@@ -295,27 +274,20 @@ def named(run: str, problems: Iterable[str]) -> list[str]:
     return [problem for problem in problems if run in problem]
 
 
-def test_folders_without_a_description_are_named_and_the_others_are_indexed(store, tmp_path):
+def test_folders_without_a_description_are_named_and_of_others_what_can_be_read_is_indexed(store, tmp_path):
     with new_run(tmp_path, seed=99) as good:
         pass
-    bad = damaged(tmp_path, [("run.json", key, text) for key, text in DAMAGE])
+    bad = damaged(tmp_path, DAMAGE)
     done = reindex(store, tmp_path)
-    assert [run.run for run in store.runs()] == [good.id]
-    assert done.runs == 1
+    described = {run for run, (file, *_) in bad.items() if file != "run.json"}
+    assert {run.run for run in store.runs()} == {good.id, *described}
+    assert done.runs == len(store.runs())
     for problems in (done.problems, [found.what for found in check(store, tmp_path)]):
         assert len(problems) == len(bad)
-        for run, damage in bad.items():
-            assert ["\n" in problem for problem in named(run, problems)] == [False], damage
-
-
-def test_files_that_cannot_be_read_are_named_and_the_rest_of_their_folders_is_indexed(store, tmp_path):
-    bad = damaged(tmp_path, MISREAD)
-    problems = reindex(store, tmp_path).problems
-    assert len(problems) == len(bad)
-    for run, damage in bad.items():
-        assert [one.startswith(f"{run}: {damage[0]}: missing") for one in named(run, problems)] == [True], damage
-    assert {run.run for run in store.runs()} == set(bad)
-    assert sorted(one.what for one in check(store, tmp_path)) == sorted(problems)
+        for run, (file, *value) in bad.items():
+            (problem,) = named(run, problems)
+            assert "\n" not in problem, value
+            assert file == "run.json" or problem.startswith(f"{run}: {file}: missing"), value
 
 
 def test_odd_values_are_stored_or_their_runs_are_named(store, tmp_path):

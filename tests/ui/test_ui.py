@@ -18,7 +18,7 @@ from support.sweep_samples import some_trial, write_sweep
 from typer import Typer
 
 from karolos.errors import MachineError
-from karolos.records import RunFolder, labels
+from karolos.records import labels
 from karolos.records.sweep_records import FOLDER
 from karolos.report.ui.app import Application
 from karolos.report.ui.rows import experiment_rows
@@ -216,14 +216,19 @@ def test_forms_of_other_pages_are_refused(tmp_path, origin):
     assert labels.read(tmp_path / run).tags == ()
 
 
-def test_a_film_that_cannot_be_made_says_why(tmp_path, monkeypatch):
+def test_a_film_waits_for_a_policy_and_says_why_it_cannot_be_made(tmp_path, monkeypatch):
     run = add_run(tmp_path, 0)
     monkeypatch.setattr("sys.executable", "/bin/false")
     page = client(tmp_path)
+    before = page.get(f"/runs/{run}").text
+    assert "There is no policy that could be filmed" in before
+    assert "<button>Film" not in before
+    (tmp_path / run / "checkpoints" / "best").mkdir(parents=True)
+    assert "<button>Film" in page.get(f"/runs/{run}").text
     page.post(f"/runs/{run}/film/failures")
     wait_for(lambda: "it ended with 1" in page.get(f"/runs/{run}").text)
     assert page.get(f"/runs/{run}/film/failures").status_code == 404
-    (RunFolder.open(tmp_path / run).path / "play.mp4").write_bytes(b"film")
+    (tmp_path / run / "play.mp4").write_bytes(b"film")
     part = page.get(f"/runs/{run}/film/episodes", headers={"range": "bytes=0-1"})
     assert (part.status_code, part.content) == (206, b"fi")
 
@@ -282,12 +287,3 @@ def test_a_client_that_leaves_while_it_sends_a_form_is_no_error(tmp_path):
     scope = {"type": "http", "method": "POST", "path": f"/runs/{run}/labels", "query_string": b"", "headers": []}
     asyncio.run(Application(tmp_path, Store(Store.default_url(tmp_path))).asgi()(scope, receive, send))
     assert sent[0]["status"] == 400
-
-
-def test_a_film_waits_for_a_policy(tmp_path):
-    run = add_run(tmp_path, 0)
-    page = client(tmp_path)
-    assert "There is no policy that could be filmed" in page.get(f"/runs/{run}").text
-    assert "<button>Film" not in page.get(f"/runs/{run}").text
-    (tmp_path / run / "checkpoints" / "best").mkdir(parents=True)
-    assert "<button>Film" in page.get(f"/runs/{run}").text

@@ -2,19 +2,18 @@
 
 import json
 import os
-import shutil
 import subprocess
 import threading
 from dataclasses import replace
 from queue import Queue
 from typing import Any
 
-import pytest
 import uvicorn
 from starlette.applications import Starlette
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Mount, Route
+from support.browser import chromium, in_browser
 from support.compared_runs import EVIL
 from support.run_samples import SPEC, add_run, bare
 
@@ -23,10 +22,8 @@ from karolos.records.run_records import RunRecord
 from karolos.report.ui.app import Application
 from karolos.store import Store
 
-CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 PICTURES = os.environ.get("KAROLOS_PICTURES")
 """A folder in which pictures of the pages are left; none are taken without it."""
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
 WALK = """<!doctype html><iframe id="frame" width="390" height="800"></iframe><script>
 const frame = document.getElementById("frame"), steps = {}, times = {};
 const page = () => frame.contentDocument, find = what => page().querySelector(what);
@@ -105,18 +102,11 @@ def take_pictures(url: str, store: Store) -> None:
     pages = {"list": "/", "run": f"/runs/{run}", "comparison": "/compare?e=exp1&e=exp2", "phone": "/"}
     for name, address in pages.items():
         size = "--window-size=500,900" if name == "phone" else "--window-size=1200,900"
-        shot = [
-            str(CHROMIUM),
-            *FLAGS,
-            "--hide-scrollbars",
-            size,
-            f"--screenshot={PICTURES}/ui-{name}.png",
-            url + address,
-        ]
+        shot = chromium("--hide-scrollbars", size, f"--screenshot={PICTURES}/ui-{name}.png", url + address)
         subprocess.run(shot, check=True, capture_output=True, timeout=60)
 
 
-@pytest.mark.skipif(CHROMIUM is None, reason="there is no Chromium on this machine")
+@in_browser
 def test_walk_through_the_pages_in_a_browser(tmp_path):
     store, answers = Store(Store.default_url(tmp_path)), Queue[dict[str, Any]]()
     thousand_runs(store)
@@ -141,7 +131,7 @@ def test_walk_through_the_pages_in_a_browser(tmp_path):
         thread.join(0.01)
     url = f"http://127.0.0.1:{server.servers[0].sockets[0].getsockname()[1]}"
     browser = subprocess.Popen(
-        [str(CHROMIUM), *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0", f"{url}/walk"],
+        chromium(f"--user-data-dir={tmp_path / 'profile'}", "--remote-debugging-port=0", f"{url}/walk"),
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )

@@ -40,12 +40,8 @@ class RequestGuard:
     * If there is a token, a request has it once in its address, and later in a cookie.
     * A form must come from our own page.
 
-    Args:
-        app: the application.
-        hosts: names that requests may give. If there are others than those of loopback, addresses are let through as
-            well: no name of a stranger is one.
-        token: None: everybody who reaches the port is accepted.
-        cookie: name of the cookie; cookies are shared by all ports of a machine.
+    If there are other `hosts` than those of loopback, addresses are let through as well: no name of a stranger is one.
+    Without a token everybody who reaches the port is accepted. All ports of a machine share cookies.
     """
 
     def __init__(self, app: ASGIApp, *, hosts: Collection[str], token: str | None, cookie: str) -> None:
@@ -105,18 +101,10 @@ def _is_ours(host: str, hosts: Collection[str]) -> bool:
 def serve(
     runs: Path, store: Store, *, host: str, port: int, token: str | None = None, ready: Callable[[str], None]
 ) -> None:
-    """Serve the pages of a runs folder.
+    """Serve the pages of a runs folder on a name or address, and a port (0: any free one).
 
-    Args:
-        runs: the folder.
-        store: its index.
-        host: name or address to listen on. Beyond loopback there is always a token.
-        port: 0: any free port.
-        token: required token; None or "": a random one beyond loopback, none on loopback.
-        ready: gets the address for a browser once the page can be opened.
-
-    Raises:
-        MachineError: it is impossible to listen on host and port.
+    Without a token there is a random one beyond loopback, and none on loopback. `ready` gets the address for a browser
+    once the page can be opened. Raises MachineError if it is impossible to listen there.
     """
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     listener = socket.socket(family)
