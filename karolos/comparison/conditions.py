@@ -12,7 +12,7 @@ from ..core.seeding import SeedTree
 from ..errors import KarolosError
 from ..records import RunFolder
 from ..records.evaluation import Evaluation
-from ..records.run_records import RunRecord
+from ..records.run_records import RunRecord, flatten
 from . import aggregates
 from .contenders import Contender
 from .scores import Estimate, estimate
@@ -59,7 +59,7 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
             policies = {test.checkpoint: test.sha256 for test in tests}
             for test in tests:
                 setting, _, text = test.overrides[0].partition("=") if len(test.overrides) == 1 else ("", "", "")
-                value, own = _number(text), _number(_setting(run.spec, setting))
+                value, own = _number(text), _number(dict(flatten(run.spec)).get(setting))
                 if value is None or test.own is None or not (test.has_success and test.own.has_success):
                     continue
                 if not test.randomized and test.sha256 == policies[test.checkpoint]:
@@ -98,7 +98,7 @@ def _condition(
         notes.append(f"{len(places)} of {len(contender.runs)} runs were tested at each of these values.")
     if left_out := sorted({value for tests in group.values() for value in tests}.difference(shown)):
         notes.append(f"Not every run was tested at {', '.join(f'{value:g}' for value in left_out)}.")
-    if _number(_setting(contender.spec, setting)) is None:
+    if _number(dict(flatten(contender.spec)).get(setting)) is None:
         notes.append("Success at the nominal value, which the spec does not name, is left out.")
     return Condition(success, tuple(notes))
 
@@ -107,13 +107,6 @@ def _size(group: tuple[_Group, dict[int, _Tests]]) -> tuple[int, int, int]:
     """Runs, tests, and episodes of a test."""
     (_, _, episodes), tests = group
     return len(tests), sum(map(len, tests.values())), episodes
-
-
-def _setting(spec: Mapping[str, Any], path: str) -> Any:
-    value: Any = spec
-    for key in path.split("."):
-        value = value.get(key) if isinstance(value, Mapping) else None
-    return value
 
 
 def _number(value: Any) -> float | None:

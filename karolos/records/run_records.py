@@ -82,23 +82,16 @@ class RunDescription(TypedDict):
 
 @dataclass(frozen=True)
 class RunState:
-    """The progress of a run."""
+    """The progress of a run. `RunSummary` explains the fields."""
 
     state: StateName
     steps: Count = 0
-    """Environment steps of training."""
     seconds: FiniteFloat = 0.0
-    """Wall-clock seconds of collecting (demonstrations included) and learning; tests excluded."""
     attempt: Count = 1
-    """Number of processes that have worked on it, from 1."""
     error: str | None = None
-    """Why it failed, in one line."""
     updated: str = ""
-    """Time of writing (ISO 8601, UTC)."""
     updates: Count | None = None
-    """Gradient updates; None if unknown."""
     total_seconds: FiniteFloat = 0.0
-    """Wall-clock seconds of all processes that have worked on it, from start to end."""
 
     @property
     def unfinished(self) -> bool:
@@ -124,7 +117,7 @@ class RunSummary:
     steps: int
     """Environment steps of training."""
     seconds: float
-    """Wall-clock seconds of collecting and learning."""
+    """Wall-clock seconds of collecting (demonstrations included) and learning; tests excluded."""
     success_any: float | None
     """Share of episodes that reached the goal at some step."""
     success_end: float | None
@@ -142,12 +135,13 @@ class RunSummary:
     task: str | None
     agent: str | None
     attempt: int
-    """How often the run was started or resumed."""
+    """Number of processes that have worked on it, from 1."""
     error: str | None
-    """Why it failed."""
+    """Why it failed, in one line."""
     created: str
     """Time in UTC, ISO 8601."""
     updated: str
+    """When its state was written."""
     folder: str
     tags: tuple[str, ...] = ()
     """Tags in alphabetical order."""

@@ -46,11 +46,10 @@ class Trial:
     """One trial of a sweep: its settings and its result."""
 
     number: Count
-    """Number of the trial, from 0."""
     name: str
     """Name of its runs."""
     state: SweepTrialState
-    """State; `running` until the trial ends, even while the sweep is interrupted."""
+    """`running` until the trial ends, even while the sweep is interrupted."""
     drawn: Mapping[str, Any]
     """Parameter -> number, or label of a choice; a parameter whose condition does not hold is missing."""
     values: tuple[FiniteFloat, ...] | None

@@ -14,21 +14,9 @@ from markupsafe import Markup
 from ..comparison import Comparison
 from ..records import provenance
 from ..records.run_records import RunRecord
+from . import tables
 from .figures import Drawing, style
-from .tables import (
-    Columns,
-    Table,
-    clean,
-    compared_measures_table,
-    count,
-    duration,
-    explanations,
-    number,
-    parameters_table,
-    scores_table,
-    success,
-    verdict,
-)
+from .tables import Columns, Table, count, duration, number, success
 
 _INTERVAL = re.compile(r"(-?[\d.,]+|-) ((?:~?\[|\().*[\])])")
 FOLDER = Path(__file__).parent
@@ -89,7 +77,7 @@ def _breakable(text: str) -> Markup:
 
 
 def _cleaned(value: object) -> object:
-    return value if isinstance(value, Markup) else clean(value, allowed="\n\N{NO-BREAK SPACE}")
+    return value if isinstance(value, Markup) else tables.clean(value, allowed="\n\N{NO-BREAK SPACE}")
 
 
 def comparison_page(comparison: Comparison, drawings: Mapping[str, Sequence[Drawing]]) -> str:
@@ -106,14 +94,14 @@ def comparison_sections(comparison: Comparison, drawings: Mapping[str, Sequence[
     settings = Section(
         "Settings that differ",
         "The specs are the same." if same else "",
-        table=None if same else parameters_table(comparison),
+        table=None if same else tables.parameters_table(comparison),
     )
     of = defaultdict[str, Sequence[Drawing]](tuple, drawings)
-    measures = compared_measures_table(comparison)
+    measures = tables.compared_measures_table(comparison)
     return [
-        Section(text=verdict(comparison)),
+        Section(text=tables.verdict(comparison)),
         *_drawn("Learning", [*of["steps"], *of["time"]]),
-        Section("In numbers", table=scores_table(comparison), notes=explanations(comparison)),
+        Section("In numbers", table=tables.scores_table(comparison), notes=tables.explanations(comparison)),
         *([Section("Measures", table=measures)] if measures.rows else []),
         *_drawn("", of["measures"]),
         *_drawn("Under other settings", of["settings"]),

@@ -353,6 +353,16 @@ def against_first(improvement: Estimate | None) -> str:
 
 def scores_table(comparison: Comparison) -> Table:
     """One row per number that a contender has, one column per contender."""
+
+    def density(one: Scores) -> str:
+        if one.density is None:
+            return "-"
+        modes = " and ".join(f"{mode:.2f}" for mode in one.density.modes)
+        return f"{modes}; {one.density.low:.2f} - {one.density.high:.2f}"
+
+    def reaching(place: int, unit: str, one: Scores) -> str:
+        return reached(one.reaching[place], unit)
+
     contenders, metric = comparison.contenders, comparison.metric
     success: Columns[Scores] = {
         "success end": lambda one: estimate(one.end),
@@ -366,11 +376,11 @@ def scores_table(comparison: Comparison) -> Table:
     else:
         cells["best, end"] = lambda one: estimate(one.best_end)
     cells[f"better than {contenders[0].label}"] = lambda one: estimate(one.improvement, 2)
-    for place, reaching in enumerate(comparison.scores[0].reaching):
+    for place, threshold in enumerate(comparison.scores[0].reaching):
         for unit, name in (("steps", "steps"), ("seconds", "time")):
-            cells[f"{name} to {reaching.ratio * 100:g} %, {metric}"] = partial(_reached, place, unit)
+            cells[f"{name} to {threshold.ratio * 100:g} %, {metric}"] = partial(reaching, place, unit)
     cells |= {
-        "density over seeds": _density,
+        "density over seeds": density,
         "steps of a run": lambda one: count(one.steps),
         "time of a run": lambda one: duration(one.seconds),
         "updates per second": lambda one: count(one.updates_per_second),
@@ -487,14 +497,3 @@ def reached(found: Reaching | None, unit: str = "steps") -> str:
         return "-"
     median = count(found.steps) if unit == "steps" else duration(found.seconds)
     return f"{median} ({found.reached} of {found.seeds})"
-
-
-def _reached(place: int, unit: str, scores: Scores) -> str:
-    return reached(scores.reaching[place], unit)
-
-
-def _density(scores: Scores) -> str:
-    found = scores.density
-    if found is None:
-        return "-"
-    return f"{' and '.join(f'{mode:.2f}' for mode in found.modes)}; {found.low:.2f} - {found.high:.2f}"

@@ -134,17 +134,6 @@ def test_improvement_is_mann_whitney_u_over_all_pairs(ours, theirs):
     assert found + aggregates.improvement(theirs, ours) == pytest.approx(1)
 
 
-@pytest.mark.parametrize(
-    ("seeds", "worth"), [(1, "none"), (4, "none"), (5, "approximate"), (9, "approximate"), (10, "usual")]
-)
-def test_intervals_are_given_for_five_seeds_or_more(seeds, worth):
-    values = np.linspace(0.2, 0.8, seeds)
-    found = aggregates.paired_interval([values], aggregates.mean, generator())
-    assert aggregates.reliability(seeds) == worth
-    assert (found is None) == (worth == "none")
-    assert (aggregates.improvement_interval(values, values, generator()) is None) == (worth == "none")
-
-
 def test_interval_covers_the_mean_of_ten_normal_values_about_as_often_as_it_says():
     draw = generator(1)
     covered = 0

@@ -31,22 +31,11 @@ from ...records.sweep_records import sweeps
 from ...store import Store, check
 from ...store.experiments import ORDERS, find_experiments
 from ...system import files
-from .. import page
+from .. import page, tables
 from ..comparison_figures import comparison_figures, learning
 from ..figures import short
 from ..page import Section, comparison_sections
-from ..tables import (
-    Table,
-    count,
-    evaluations_table,
-    heading,
-    measures_table,
-    number,
-    run_facts,
-    run_state,
-    setting,
-    transfers_table,
-)
+from ..tables import Table, evaluations_table, heading, setting
 from . import films
 from .rows import SIGNS, experiment_rows, sparkline
 
@@ -168,20 +157,20 @@ class Application:
         return self._page(
             "run.html",
             run=run,
-            state=run_state(run),
+            state=tables.run_state(run),
             sign=SIGNS.get(run.state),
-            facts={name: value for name, value in run_facts(run, about).items() if name not in SHOWN and value},
+            facts={name: value for name, value in tables.run_facts(run, about).items() if name not in SHOWN and value},
             problems=(*broken, *record.problems, *unreadable),
             live=f"/runs/{quote(run.run)}?seen={seen}" if run.state in UNFINISHED else None,
             shown=self._once(("run", run.run, tested), draw),
             final=evaluations_table(final.values()) if final else None,
             tests=evaluations_table(tests) if tests else None,
             links=[f"/runs/{run.run}/tests/{test.steps}" for test in tests],
-            measures=measures_table(last.measures) if last and last.measures else None,
+            measures=tables.measures_table(last.measures) if last and last.measures else None,
             curves=[_curve(name, tests) for name in last.measures] if last else [],
             failures=failures,
             last=last,
-            transfers=transfers_table(transfers) if transfers else None,
+            transfers=tables.transfers_table(transfers) if transfers else None,
             given=[one for one in settings if one[2] != "default"],
             defaults=[one for one in settings if one[2] == "default"],
             events=[_event(event) for event in events],
@@ -338,8 +327,8 @@ def _episodes(result: Evaluation) -> tuple[Table, list[int]]:
     if result.has_success:
         columns["success end"] = ["yes" if flag else "no" for flag in result.end]
         columns["at any step"] = ["yes" if flag else "no" for flag in result.any]
-    columns["return"] = list(map(number, result.returns))
-    columns["steps"] = list(map(count, result.lengths))
+    columns["return"] = list(map(tables.number, result.returns))
+    columns["steps"] = list(map(tables.count, result.lengths))
     if result.distances is not None:
         columns["distance from goal (m)"] = [f"{far:.4f}" for far in result.distances]
     for name, one in result.measures.items():
