@@ -9,12 +9,13 @@ from functools import partial
 import numpy as np
 import pytest
 from support.fork_server import FORKS
+from support.listeners import Heard, stopping_at
 from support.states import assert_same_state
-from support.toy_runs import toy
+from support.toy_runs import run_of, toy
 
 from karolos.errors import MachineError, RunError, StoreError, UsageError
 from karolos.experiment.check import check_parts
-from karolos.experiment.events import RunEnded, RunStarted, RunTested, RunWarned
+from karolos.experiment.events import RunEnded, RunStarted, RunTested
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, checkpoint
 from karolos.report.tables import runs_table
@@ -45,24 +46,28 @@ def folders(outcome):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """One experiment of two seeds, told event by event."""
-    runs, events = tmp_path_factory.mktemp("runs"), []
+    heard = Heard()
     path = tmp_path_factory.mktemp("specs") / "toy.yaml"
     path.write_text(f"# mine\n{json.dumps(spec(seeds=[3, 1]))}\n")
-    outcome = Experiment(load_spec(path)).run(runs, listener=events.append)
-    return runs, outcome, events
+    outcome = Experiment(load_spec(path)).run(tmp_path_factory.mktemp("runs"), listener=heard)
+    return outcome, heard
 
 
-def test_every_seed_becomes_a_finished_run_in_the_order_of_the_spec(finished):
-    runs, outcome, _ = finished
-    assert [run.seed for run in outcome.runs] == [3, 1]
-    assert {run.state for run in outcome.runs} == {"finished"}
+def test_every_seed_becomes_a_finished_run_in_the_order_of_the_spec_and_the_listener_hears_it_whole(finished):
+    outcome, heard = finished
+    assert [(run.seed, run.state) for run in outcome.runs] == [(3, "finished"), (1, "finished")]
     assert outcome.exit_code == 0
     assert len({run.experiment for run in outcome.runs}) == 1
-    assert all(folder.path.parent == runs for folder in folders(outcome))
+    for run in outcome.runs:
+        mine = [event for event in heard if event.run == run.run]
+        assert isinstance(mine[0], RunStarted)
+        assert isinstance(mine[-1], RunEnded)
+        assert mine[-1].error is None
+        assert sum(isinstance(event, RunTested) for event in mine) == 3
 
 
 def test_tests_come_at_each_interval_and_at_the_end_on_the_same_seeds(finished):
-    _, outcome, _ = finished
+    outcome, _ = finished
     for folder in folders(outcome):
         tests = folder.tests()
         assert [test.steps for test in tests] == [100, 200, 240]
@@ -73,7 +78,7 @@ def test_tests_come_at_each_interval_and_at_the_end_on_the_same_seeds(finished):
 
 
 def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
-    _, outcome, _ = finished
+    outcome, _ = finished
     folder = folders(outcome)[0]
     assert folder.record().problems == ()
     assert (folder.path / "spec.yaml").read_text().startswith("# mine\n")
@@ -85,7 +90,7 @@ def test_the_run_folder_holds_all_that_is_needed_to_tell_what_was_run(finished):
 
 
 def test_every_training_episode_is_recorded(finished):
-    _, outcome, _ = finished
+    outcome, _ = finished
     for folder in folders(outcome):
         rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
         assert len(rows) == 240 // 20
@@ -104,29 +109,18 @@ def test_what_randomization_drew_stands_with_the_episode_and_tests_are_spared(tm
         "training": {"steps": 40},
         "testing": {"interval": 40, "episodes": 2},
     }
-    (folder,) = folders(Experiment(spec(**changes)).run(tmp_path))
-    rows = [json.loads(line) for line in (folder.path / "episodes.jsonl").read_text().splitlines()]
-    drawn = [row["parameters"]["task.gravity"] for row in rows]
+    episodes = (run_of(spec(**changes), tmp_path).path / "episodes.jsonl").read_text()
+    drawn = [json.loads(line)["parameters"]["task.gravity"] for line in episodes.splitlines()]
     assert len(set(drawn)) == len(drawn) == 8
     assert np.mean(drawn) == pytest.approx(-9.81, abs=1)
 
 
 def test_the_best_checkpoint_is_of_the_best_test_and_the_last_of_the_end(finished):
-    _, outcome, _ = finished
+    outcome, _ = finished
     for folder in folders(outcome):
         merits = {(test.success_end, test.success_any): test.steps for test in folder.tests()}
         assert weights(folder, "best")[1]["steps"] == merits[max(merits)]
         assert weights(folder, "last")[1]["steps"] == 240
-
-
-def test_the_listener_hears_each_run_from_start_to_end(finished):
-    _, outcome, events = finished
-    for run in outcome.runs:
-        mine = [event for event in events if event.run == run.run]
-        assert isinstance(mine[0], RunStarted)
-        assert isinstance(mine[-1], RunEnded)
-        assert mine[-1].error is None
-        assert sum(isinstance(event, RunTested) for event in mine) == 3
 
 
 SIDE_BY_SIDE = """
@@ -137,7 +131,7 @@ print("EXIT", outcome.exit_code, [(run.seed, run.state) for run in outcome.runs]
 
 
 def test_a_script_without_a_guard_runs_seeds_side_by_side_as_one_after_the_other(finished, tmp_path):
-    _, outcome, _ = finished
+    outcome, _ = finished
     script, runs = tmp_path / "script.py", tmp_path / "runs"
     script.write_text(FORKS + SIDE_BY_SIDE.format(spec=spec(seeds=[3, 1]), runs=str(runs)))
     done = subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=120, check=False)
@@ -150,62 +144,44 @@ def test_a_script_without_a_guard_runs_seeds_side_by_side_as_one_after_the_other
         assert_same_state(weights(RunFolder.open(path))[0], weights(before)[0])
 
 
-def press(number):
-    return lambda event: isinstance(event, RunTested) and signal.raise_signal(number)
-
-
-def test_a_stop_request_ends_the_round_and_leaves_a_checkpoint(tmp_path):
-    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=press(signal.SIGINT), check=False)
-    (run,) = outcome.runs
-    assert (run.state, run.steps, outcome.exit_code) == ("stopped", 100, 130)
-    (folder,) = folders(outcome)
-    assert weights(folder)[1]["steps"] == 100
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
 @pytest.mark.parametrize(
-    ("number", "end", "code"),
-    [(signal.SIGINT, KeyboardInterrupt, None), (signal.SIGTERM, SystemExit, "143"), (signal.SIGHUP, SystemExit, "129")],
+    ("signals", "end", "code"),
+    [
+        ([signal.SIGINT], KeyboardInterrupt, None),
+        ([signal.SIGINT] * 2, KeyboardInterrupt, None),  # the second one does not wait for the end of the round
+        ([signal.SIGTERM], SystemExit, "143"),
+        ([signal.SIGHUP], SystemExit, "129"),
+    ],
 )
-def test_one_signal_ends_a_script_that_runs_several_experiments(tmp_path, number, end, code):
-    before = signal.signal(number, signal.default_int_handler)  # the tests may run under nohup, which ignores it
+def test_a_signal_ends_the_round_and_a_script_of_several_experiments_and_leaves_a_checkpoint(
+    tmp_path, signals, end, code
+):
+    before = signal.signal(signals[0], signal.default_int_handler)  # the tests may run under nohup, which ignores it
     try:
         with pytest.raises(end, match=code):
-            Experiment(spec()).run(tmp_path, listener=press(number))
+            Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=stopping_at(100, *signals))
+        assert signal.getsignal(signals[0]) is signal.default_int_handler
     finally:
-        signal.signal(number, before)
+        signal.signal(signals[0], before)
     with Store(Store.default_url(tmp_path)) as store:
-        assert [(run.state, run.steps) for run in store.runs()] == [("stopped", 100)]
-
-
-def test_a_second_interrupt_ends_at_once_and_the_run_is_stopped(tmp_path):
-    def press_twice(event):
-        if isinstance(event, RunTested):
-            signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)
-
-    with pytest.raises(KeyboardInterrupt):
-        Experiment(spec()).run(tmp_path, listener=press_twice)
-    with Store(Store.default_url(tmp_path)) as store:
-        assert [run.state for run in store.runs()] == ["stopped"]
-
-
-def break_agent(monkeypatch, message="boom"):
-    def learn(self, batch):
-        raise ZeroDivisionError(message)
-
-    monkeypatch.setattr("karolos.agents.sac.SAC.learn", learn)
+        (run,) = store.runs()
+    assert run.state == "stopped"
+    if len(signals) == 1:
+        assert run.steps == weights(RunFolder.open(run.folder))[1]["steps"] == 100
 
 
 def test_a_plugin_that_raises_fails_its_run_with_traceback_and_the_other_seeds_go_on(tmp_path, monkeypatch):
-    break_agent(monkeypatch)
-    events = []
-    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=events.append, check=False)
+    def learn(self, batch):
+        raise ZeroDivisionError("boom")
+
+    monkeypatch.setattr("karolos.agents.sac.SAC.learn", learn)
+    heard = Heard()
+    outcome = Experiment(spec(seeds=[0, 1])).run(tmp_path, listener=heard, check=False)
     assert [(run.state, run.error) for run in outcome.runs] == [("failed", "ZeroDivisionError: boom")] * 2
     assert outcome.exit_code == 1
     with pytest.raises(RunError, match=r"2 of 2 runs failed: toy-s0.*ZeroDivisionError: boom"):
         outcome.check()  # which a script does by default
-    ends = [event for event in events if isinstance(event, RunEnded)]
+    ends = [event for event in heard if isinstance(event, RunEnded)]
     assert all("def learn" not in end.error and "raise ZeroDivisionError" in end.traceback for end in ends)
     assert "raise ZeroDivisionError" in folders(outcome)[0].events()[-1]["traceback"]
 
@@ -234,11 +210,10 @@ def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fail
         return save(*arguments)
 
     monkeypatch.setattr("karolos.records.checkpoint.save", full)
-    events = []
-    outcome = Experiment(spec()).run(tmp_path, listener=events.append, check=False)
+    heard = Heard()
+    outcome = Experiment(spec()).run(tmp_path, listener=heard, check=False)
     assert (outcome.runs[0].state, outcome.exit_code) == (state, int(state == "failed"))
-    warnings = [event.warning for event in events if isinstance(event, RunWarned)]
-    assert any("no space left" in warning and "'last' was not written" in warning for warning in warnings)
+    assert any("no space left" in warning and "'last' was not written" in warning for warning in heard.warnings)
     if state == "finished":
         assert weights(*folders(outcome))[1]["steps"] == 240
     else:
@@ -255,10 +230,8 @@ def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_be
         return save(folder, name, *content)
 
     monkeypatch.setattr("karolos.records.checkpoint.save", full_once)
-    monkeypatch.setattr(
-        "karolos.experiment.checkpointer._rank", lambda result: (1 / result.steps,)
-    )  # the first is best
-    (folder,) = folders(Experiment(spec()).run(tmp_path))
+    monkeypatch.setattr("karolos.experiment.checkpointer._rank", lambda result: (1 / result.steps,))  # the first: best
+    folder = run_of(spec(), tmp_path)
     assert failed
     assert checkpoint.read_meta(folder.checkpoints, "best")["steps"] == folder.tests()[1].steps
 
@@ -283,12 +256,6 @@ def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
 def test_jobs_below_one_are_refused(tmp_path):
     with pytest.raises(UsageError, match="jobs is 0"):
         Experiment(spec()).run(tmp_path, jobs=0)
-
-
-def test_the_papers_first_listing_is_a_valid_experiment():
-    experiment = Experiment({"robot": "panda", "task": "reach", "agent": "sac"})
-    assert json.dumps(experiment.spec.dump())
-    assert experiment.spec.name == "panda_reach"
 
 
 def test_a_run_without_updates_says_so(tmp_path):

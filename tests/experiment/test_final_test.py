@@ -1,6 +1,5 @@
 """The final test of a run: its episodes, its policies, where it is stored, and what a kill leaves of it."""
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -82,7 +81,7 @@ def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(tmp_path, m
         return save(folder, name, *content)
 
     monkeypatch.setattr("karolos.records.checkpoint.save", full)
-    [summary] = Experiment(TOY).run(tmp_path, check=False).runs
+    summary = toy_runs.run_of(TOY, tmp_path).summary()
     assert summary.state == "failed"
     last, best = RunFolder.open(summary.folder).final().values()
     assert (last.sha256, bool(best.sha256)) == ("", True)
@@ -90,9 +89,8 @@ def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(tmp_path, m
 
 
 def test_no_final_test_without_final_episodes(tmp_path):
-    spec = TOY | {"testing": TOY["testing"] | {"final_episodes": 0}}
-    [summary] = Experiment(spec).run(tmp_path).runs
-    folder = RunFolder.open(summary.folder)
+    folder = toy_runs.run_of(toy_runs.toy(TOY, testing={"final_episodes": 0}), tmp_path)
+    summary = folder.summary()
     assert folder.final() == {}
     assert not (folder.path / FILE).exists()
     assert (summary.final, summary.best_end) == (False, None)
@@ -146,8 +144,3 @@ def test_a_damaged_file_is_named_and_the_last_test_counts_instead(outcome, damag
     finally:
         path.write_text(whole)
     assert folder.record().problems == ()
-
-
-def test_the_file_has_one_line_per_policy(outcome):
-    played = [json.loads(line) for line in (folder_of(outcome).path / FILE).read_text().splitlines()]
-    assert [(one["checkpoint"], len(one["any"])) for one in played] == [("last", 9), ("best", 9)]

@@ -41,17 +41,6 @@ def folder(made: Path, tmp_path: Path) -> RunFolder:
     return RunFolder.open(shutil.copytree(made, tmp_path / made.name))
 
 
-def test_a_resumed_run_removes_files_that_its_killed_process_did_not_finish(folder, dead):
-    ours = folder.path / f".state.json.{dead}.tmp"
-    others = folder.path / f".labels.json.{os.getpid()}.tmp"
-    for path in (ours, others):
-        path.write_text("{")
-    folder.set_state("running")
-    resume_run(folder, Store.default_url(folder.path.parent))
-    assert not ours.exists()
-    assert others.exists()
-
-
 def crafted(folder: RunFolder, name: str, change: Callable[[dict[str, Any], dict[str, Any]], object]) -> None:
     """Write a checkpoint again, with another content."""
     parts, meta = checkpoint.load(folder.checkpoints, name)
@@ -94,13 +83,12 @@ def test_a_crafted_checkpoint_is_not_resumed(folder, change):
         resume_run(folder, Store.default_url(folder.path.parent))
 
 
+PENDING = {"steps": 9, "updates": 1, "seconds": 1.0, "seeds": [1], "agent": {}}
 INNER: dict[str, Callable[[dict[str, Any]], object]] = {
     "no tests": lambda parts: parts["run"].pop("tests"),
     "a text for the best": lambda parts: parts["run"].update(best=["much"]),
     "a test without its steps": lambda parts: parts["run"].update(tests=[{"seeds": [1]}]),
-    "a test of another agent": lambda parts: parts["run"].update(
-        tests=[{"steps": 9, "updates": 1, "seconds": 1.0, "seeds": [1], "agent": {}}]
-    ),
+    "a test of another agent": lambda parts: parts["run"].update(tests=[PENDING]),
     "no episodes": lambda parts: parts["training"].pop("running"),
     "a count of more than 64 bits": lambda parts: parts["training"].update(updates=10**30),
     "a list for a generator": lambda parts: parts["training"].update(warmup=[1]),
@@ -137,13 +125,17 @@ def test_the_next_start_removes_what_killed_processes_left_in_runs_that_nobody_r
     assert imported.exists()
 
 
-def test_files_of_a_run_that_goes_on_stay(folder, dead):
+def test_the_start_of_a_run_removes_what_its_killed_process_left_and_files_of_a_run_that_goes_on_stay(folder, dead):
     ours = folder.path / f".state.json.{dead}.tmp"
-    ours.write_text("{")
+    others = folder.path / f".labels.json.{os.getpid()}.tmp"
+    for path in (ours, others):
+        path.write_text("{")
     folder.lock()
+    assert not ours.exists()
     ours.write_text("{")
     remove_lost_leftovers(folder.path.parent)
     assert ours.exists()
     folder.release()
     remove_lost_leftovers(folder.path.parent)
     assert not ours.exists()
+    assert others.exists()

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 from support.fake_launcher import FakeLauncher
-from support.toy_runs import TOY
+from support.processes import holders
+from support.toy_runs import TOY, toy
 
 from karolos.errors import RunError
 from karolos.experiment.events import RunAdvanced, RunEnded, RunStarted, RunWarned
@@ -15,15 +16,14 @@ from karolos.store import Store, check, reindex
 
 
 def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path):
-    spec = TOY | {"seeds": [0, 1], "training": TOY["training"] | {"steps": 100_000}}
-    spec |= {"testing": {"interval": 100_000, "episodes": 2}}
+    spec = toy(seeds=[0, 1], training={"steps": 100_000}, testing={"interval": 100_000})
     killed, ended = [], []
 
     def listen(event: object) -> None:
         if isinstance(event, RunAdvanced) and event.run not in killed:
             killed.append(event.run)
-            lock = (tmp_path / event.run / "lock").stat().st_ino
-            os.kill(_holder(lock), signal.SIGKILL)
+            (process,) = holders([tmp_path / event.run / "lock"])
+            os.kill(process, signal.SIGKILL)
         if isinstance(event, RunEnded):
             ended.append(event)
 
@@ -34,15 +34,6 @@ def test_a_killed_process_of_a_seed_is_a_lost_run_and_an_error(tmp_path):
     assert {(event.state, event.error) for event in ended} == {("lost", "its process was killed by SIGKILL")}
     with pytest.raises(RunError, match="its process was killed by SIGKILL"):
         outcome.check()
-
-
-def _holder(inode: int) -> int:
-    """The process that holds the lock of this file."""
-    for line in Path("/proc/locks").read_text().splitlines():
-        _, _, _, _, pid, file, *_ = line.split()
-        if int(file.rpartition(":")[2]) == inode:
-            return int(pid)
-    raise AssertionError("nobody holds the lock")
 
 
 class Outage:

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.listeners import Heard
 from support.states import assert_same_runs, assert_same_state
 from support.toy_runs import run_of, toy
 
 from karolos.evaluation import due_tests
 from karolos.experiment import pending_tests
-from karolos.experiment.events import RunWarned
 from karolos.experiment.pending_tests import PendingTests
 from karolos.launchers import experiment
 from karolos.records import RunFolder, checkpoint
@@ -90,23 +90,17 @@ def test_results_and_weights_are_those_of_a_run_without_a_second_process(alone, 
     assert not second_processes()
 
 
-def kill(tests: PendingTests) -> None:
+def signal_processes(number: int) -> None:
     for process in second_processes():
-        os.kill(process.pid, signal.SIGKILL)
-
-
-def hang(tests: PendingTests) -> None:
-    for process in second_processes():
-        os.kill(process.pid, signal.SIGSTOP)
+        os.kill(process.pid, number)
 
 
 def test_a_lost_process_costs_a_warning_and_its_test_is_played_again(alone, beside, tmp_path, monkeypatch):
-    after_add(monkeypatch, kill)
-    events: list[object] = []
-    folder = run(tmp_path, listener=events.append)
-    warnings = [event.warning for event in events if isinstance(event, RunWarned)]
-    assert len(warnings) == pending_tests.MAX_LOST_PROCESSES
-    assert all("test process failed" in warning and "played again" in warning for warning in warnings)
+    after_add(monkeypatch, lambda _: signal_processes(signal.SIGKILL))
+    heard = Heard()
+    folder = run(tmp_path, listener=heard)
+    assert len(heard.warnings) == pending_tests.MAX_LOST_PROCESSES
+    assert all("test process failed" in warning and "played again" in warning for warning in heard.warnings)
     assert_same_runs(alone, folder)
 
 
@@ -114,7 +108,7 @@ def test_a_process_that_hangs_costs_nothing_and_training_waits_for_the_tests(alo
     waiting = []
 
     def look(tests: PendingTests) -> None:
-        hang(tests)
+        signal_processes(signal.SIGSTOP)
         waiting.append([test.steps for test in tests.pending if not tests._is_over(test)])
 
     after_add(monkeypatch, look)

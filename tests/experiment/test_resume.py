@@ -1,8 +1,8 @@
 """A run that ended too soon goes on as if it had not."""
 
 import json
+import re
 import shutil
-import signal
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from support.listeners import Heard, stopping_at
 from support.run_samples import stored
 from support.states import assert_same_runs
+from support.toy_runs import run_of
 
 from karolos.errors import MachineError, RunError, UsageError
-from karolos.experiment.events import RunStarted, RunTested, RunWarned
+from karolos.experiment.events import RunStarted
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
 from karolos.experiment.signals import StopRequest
@@ -51,19 +53,14 @@ CASES = {
 USUAL = BASE | CASES["sac, priority, hindsight"]
 
 
-def stopping_at(steps: int):
-    """A listener that asks to stop after the first test at `steps` or later."""
-
-    def tell(event: object) -> None:
-        if isinstance(event, RunTested) and event.result.steps >= steps:
-            signal.raise_signal(signal.SIGTERM)
-
-    return tell
-
-
 def only(outcome: Any) -> RunFolder:
     (run,) = outcome.runs
     return RunFolder.open(run.folder)
+
+
+def bit_exact(folder: RunFolder) -> list[bool]:
+    """What the run says of each of its resumptions."""
+    return [event["bit_exact"] for event in folder.events() if event["event"] == "resumed"]
 
 
 def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path, monkeypatch):
@@ -75,21 +72,18 @@ def test_a_run_whose_files_were_edited_is_not_resumed(tmp_path, monkeypatch):
         run_or_resume(folder, None, lambda _: None, StopRequest(), two_processes=False)
 
 
-def test_a_run_that_resumes_with_other_software_says_so(tmp_path, monkeypatch):
-    only(Experiment(USUAL).run(tmp_path, listener=stopping_at(100), check=False))
+def test_a_run_that_resumes_with_other_software_says_so(broken, monkeypatch):
     there = provenance.versions()
     monkeypatch.setattr(provenance, "versions", lambda: there | {"torch": "1.0", "a-new-plugin": "1"})
-    events: list[Any] = []
-    folder = only(Experiment(USUAL).run(tmp_path, existing="resume", listener=events.append))
-    (warned,) = [event.warning for event in events if isinstance(event, RunWarned)]
+    (warned,) = go_on(broken)
     assert f"it began with other software: torch is 1.0 here and {there['torch']} there (it may differ" in warned
-    assert [event["bit_exact"] for event in folder.events() if event["event"] == "resumed"] == [False]
+    assert bit_exact(broken) == [False]
 
 
 @pytest.mark.parametrize("case", CASES)
 def test_run_in_two_processes_that_is_stopped_and_resumed_equals_one_without_a_break_in_one_bit_for_bit(case, tmp_path):
     spec = BASE | CASES[case]
-    whole = only(Experiment(spec).run(tmp_path / "whole"))
+    whole = run_of(spec, tmp_path / "whole")
     spec |= {"orchestrator": {"processes": 2, "environments": 2}}
     broken = Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
     assert broken.runs[0].state == "stopped"
@@ -98,7 +92,7 @@ def test_run_in_two_processes_that_is_stopped_and_resumed_equals_one_without_a_b
     assert [run.run for run in again.runs] == [run.run for run in broken.runs]
     assert again.runs[0].attempt == 2
     assert_same_runs(whole, only(again))
-    assert [event["bit_exact"] for event in only(again).events() if event["event"] == "resumed"] == [True]
+    assert bit_exact(only(again)) == [True]
     with Store(Store.default_url(tmp_path / "broken")) as store:
         assert [test.steps for test in stored(store, again.runs[0].run).tests] == [100, 200, 240]
 
@@ -115,24 +109,24 @@ def test_a_run_of_a_robot_is_the_same_in_one_process_and_broken_off_in_two(tmp_p
         "agent": SAC,
         "orchestrator": {"processes": 0, "environments": 2},
     }
-    whole = only(Experiment(spec).run(tmp_path / "whole"))
+    whole = run_of(spec, tmp_path / "whole")
     spec["orchestrator"] = {"processes": 2, "environments": 1}
-    Experiment(spec).run(tmp_path / "broken", listener=stopping_at(100), check=False)
-    assert_same_runs(whole, only(Experiment(spec).run(tmp_path / "broken", existing="resume")))
+    run_of(spec, tmp_path / "broken", listener=stopping_at(100))
+    assert_same_runs(whole, run_of(spec, tmp_path / "broken", existing="resume"))
 
 
 @pytest.fixture(scope="module")
 def stopped(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A runs folder with one run that was stopped at 200 of 240 steps."""
     runs = tmp_path_factory.mktemp("stopped")
-    Experiment(USUAL).run(runs, listener=stopping_at(200), check=False)
+    run_of(USUAL, runs, listener=stopping_at(200))
     return runs
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """The same run without a break."""
-    return only(Experiment(USUAL).run(tmp_path_factory.mktemp("whole")))
+    return run_of(USUAL, tmp_path_factory.mktemp("whole"))
 
 
 @pytest.fixture
@@ -142,29 +136,41 @@ def broken(stopped: Path, tmp_path: Path) -> RunFolder:
     return RunFolder.open(path)
 
 
-def go_on(folder: RunFolder) -> list[object]:
-    events: list[object] = []
-    outcome = resume_run(folder, Store.default_url(folder.path.parent), listener=events.append)
-    assert outcome.exit_code == 0
-    return events
+def go_on(folder: RunFolder) -> list[str]:
+    """Resume the run to its end; returns its warnings."""
+    heard = Heard()
+    assert resume_run(folder, Store.default_url(folder.path.parent), listener=heard).exit_code == 0
+    return heard.warnings
 
 
-def damage(folder: RunFolder, name: str) -> None:
-    path = folder.checkpoints / name / "agent.pt"
+def damage_last(folder: RunFolder) -> None:
+    path = folder.checkpoints / "last" / "agent.pt"
     data = bytearray(path.read_bytes())
     data[1000] ^= 1
     path.write_bytes(data)
 
 
-def test_damaged_checkpoint_is_named_and_the_one_before_is_used(whole, broken):
-    damage(broken, "last")
-    warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
-    assert any("agent.pt" in warning and "previous checkpoint" in warning for warning in warnings)
+@pytest.mark.parametrize(
+    ("lose", "steps", "warned"),
+    [
+        (damage_last, 100, r"agent\.pt.*previous checkpoint"),
+        (lambda folder: (folder.path / "events.jsonl").write_bytes(b""), 200, None),
+        (lambda folder: shutil.rmtree(folder.checkpoints), 0, "the run has no checkpoint .it begins again"),
+    ],
+    ids=["damaged checkpoint", "no events", "no checkpoint"],
+)
+def test_a_run_that_lost_files_goes_on_from_the_newest_sound_checkpoint_or_begins_again(
+    whole, broken, lose, steps, warned
+):
+    lose(broken)
+    warnings = go_on(broken)
+    assert re.search(warned, "\n".join(warnings)) if warned else not warnings
+    assert [event["steps"] for event in broken.events() if event["event"] == "resumed"] == [steps]
     assert_same_runs(whole, broken)
 
 
 def test_a_damaged_checkpoint_does_not_replace_the_one_before(whole, broken, monkeypatch):
-    damage(broken, "last")
+    damage_last(broken)
     save = checkpoint.save
 
     def full(folder: Path, name: str, *rest: Any) -> None:
@@ -180,20 +186,11 @@ def test_a_damaged_checkpoint_does_not_replace_the_one_before(whole, broken, mon
     assert_same_runs(whole, broken)
 
 
-def test_a_run_whose_events_are_lost_goes_on_from_its_checkpoint(whole, broken):
-    (broken.path / "events.jsonl").write_bytes(b"")
-    go_on(broken)
-    (resumed,) = [event for event in broken.events() if event["event"] == "resumed"]
-    assert resumed["steps"] == 200
-    assert_same_runs(whole, broken)
-
-
 def test_a_run_that_learns_in_another_precision_is_not_bit_exact(broken):
     events = (broken.path / "events.jsonl").read_text()
     (broken.path / "events.jsonl").write_text(events.replace("float32", "bfloat16"))
-    warnings = [event.warning for event in go_on(broken) if isinstance(event, RunWarned)]
-    assert any("it learns on another machine: precision float32 after bfloat16" in warning for warning in warnings)
-    assert [event["bit_exact"] for event in broken.events() if event["event"] == "resumed"] == [False]
+    assert "it learns on another machine: precision float32 after bfloat16" in "\n".join(go_on(broken))
+    assert bit_exact(broken) == [False]
 
 
 def test_a_run_that_cannot_be_read_is_not_trained_again(broken):
@@ -238,12 +235,6 @@ def test_tests_of_a_run_that_ended_unseen_are_read_from_its_folder(broken):
         assert [test.steps for test in stored(store, broken.id).tests] == [100, 200, 240]
 
 
-def test_run_without_a_checkpoint_begins_anew_in_its_folder(whole, broken):
-    shutil.rmtree(broken.checkpoints)
-    go_on(broken)
-    assert_same_runs(whole, broken)
-
-
 def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(broken):
     for name in ("last", "previous"):
         (broken.checkpoints / name / "manifest.json").write_text("{}")
@@ -258,7 +249,7 @@ def test_no_sound_checkpoint_is_an_error_of_that_seed_alone_and_nothing_is_lost(
 
 
 def test_checkpoint_of_another_experiment_is_refused(broken, tmp_path):
-    other = only(Experiment(USUAL | {"agent": SAC | {"tau": 0.01}}).run(tmp_path))
+    other = run_of(USUAL | {"agent": SAC | {"tau": 0.01}}, tmp_path)
     shutil.rmtree(broken.checkpoints)
     shutil.copytree(other.checkpoints, broken.checkpoints)
     with pytest.raises(RunError, match="another experiment"):
@@ -282,11 +273,10 @@ def test_finished_seeds_are_not_run_again(broken):
     go_on(broken)
     spec = USUAL | {"seeds": [0, 1]}
     for existing in ("skip", "resume"):
-        events: list[object] = []
-        outcome = Experiment(spec).run(broken.path.parent, existing=existing, listener=events.append)
-        assert outcome.exit_code == 0
-        assert outcome.runs[0].run == broken.id
-        assert [event.seed for event in events if isinstance(event, RunStarted)] == ([1] if existing == "skip" else [])
+        heard = Heard()
+        outcome = Experiment(spec).run(broken.path.parent, existing=existing, listener=heard)
+        assert (outcome.exit_code, outcome.runs[0].run) == (0, broken.id)
+        assert [event.seed for event in heard if isinstance(event, RunStarted)] == ([1] if existing == "skip" else [])
 
 
 def test_a_run_that_ended_while_it_was_looked_at_is_not_executed_again(broken):
@@ -318,26 +308,21 @@ def test_episodes_that_go_another_way_when_played_again_are_a_warning(tmp_path):
         "agent": SAC,
         "testing": {"interval": 100, "episodes": 4, "final_episodes": 0},
     }
-    Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False)
-    events: list[object] = []
-    outcome = Experiment(spec).run(tmp_path, existing="resume", listener=events.append)
-    assert outcome.runs[0].state == "finished"
-    warnings = [event.warning for event in events if isinstance(event, RunWarned)]
-    strayed = "gave another observation: 0, 1, 2, 3 (the run resumes, but not bit for bit"
-    assert any(strayed in warning for warning in warnings)
+    warnings = go_on(run_of(spec, tmp_path, listener=stopping_at(100)))
+    assert "gave another observation: 0, 1, 2, 3 (the run resumes, but not bit for bit" in "\n".join(warnings)
 
 
 def test_tests_that_an_asynchronous_run_makes_at_other_steps_are_removed(tmp_path):
     spec = USUAL | {"training": BASE["training"] | {"mode": "async"}}
-    stopped = only(Experiment(spec).run(tmp_path, listener=stopping_at(100), check=False))
+    stopped = run_of(spec, tmp_path, listener=stopping_at(100))
     steps = checkpoint.read_meta(stopped.checkpoints, "last")["steps"]
     kept = [test.steps for test in stopped.tests()]
     stopped.add_test(replace(stopped.tests()[-1], steps=steps + 1))
-    done = only(Experiment(spec).run(tmp_path, existing="resume"))
+    done = run_of(spec, tmp_path, existing="resume")
     left = [test.steps for test in done.tests()]
     assert left[: len(kept)] == kept
     assert steps + 1 not in left
-    assert [event["bit_exact"] for event in done.events() if event["event"] == "resumed"] == [False]
+    assert bit_exact(done) == [False]
     rows = [json.loads(line) for line in (done.path / "episodes.jsonl").read_text().splitlines()]
     episodes = [(row["environment"], row["index"]) for row in rows]
     assert len(set(episodes)) == len(episodes) >= 240 // 20
@@ -359,7 +344,7 @@ def test_time_limit_stops_with_a_checkpoint(tmp_path):
 def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case, tmp_path, monkeypatch):
     spec = BASE | CASES[case]
     longer = spec | {"training": spec["training"] | {"steps": 400}}
-    whole, short = only(Experiment(longer).run(tmp_path / "whole")), only(Experiment(spec).run(tmp_path))
+    whole, short = run_of(longer, tmp_path / "whole"), run_of(spec, tmp_path)
     before = {path: path.read_bytes() for path in short.path.rglob("*") if path.is_file()}
     url = Store.default_url(tmp_path)
     more = only(resume_run(short, url, ["training.steps=400"]))

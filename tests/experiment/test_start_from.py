@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 from support.states import assert_same_state
-from support.toy_runs import toy
+from support.toy_runs import run_of, toy
 
 from karolos.core import Signature
 from karolos.core.seeding import SeedTree
@@ -25,8 +25,7 @@ TOY = toy(agent={"precision": "float32"})
 
 @pytest.fixture(scope="module")
 def source(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    runs = tmp_path_factory.mktemp("runs")
-    return RunFolder.open(Experiment(TOY).run(runs).runs[0].folder)
+    return run_of(TOY, tmp_path_factory.mktemp("runs"))
 
 
 def spec(start: str, *overrides: str, **changes: Any) -> Spec:
@@ -40,7 +39,7 @@ def signature(of: Spec) -> Signature:
 @pytest.mark.parametrize("name", ["sac", "td3", "ddpg"])
 def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name, tmp_path):
     small = {**TOY, "agent": {"name": name, "hidden": [8]}}
-    folder = RunFolder.open(Experiment(small).run(tmp_path).runs[0].folder)
+    folder = run_of(small, tmp_path)
     wanted = spec(folder.id, agent={"name": name, "hidden": [8]})
     start = find(wanted, tmp_path)
     assert start is not None
@@ -58,9 +57,7 @@ def test_weights_and_statistics_are_taken_over_and_optimisers_are_not(name, tmp_
 def test_a_run_that_starts_from_another_says_so_and_begins_where_that_ended(source):
     runs = source.path.parent
     wanted = {**TOY, "name": "onward", "agent": {**TOY["agent"], "start_from": source.id, "start_checkpoint": "last"}}
-    folder = RunFolder.open(
-        Experiment({**wanted, "training": {**TOY["training"], "replay_ratio": 0}}).run(runs).runs[0].folder
-    )
+    folder = run_of(toy(wanted, training={"replay_ratio": 0}), runs)
     (event,) = [event for event in folder.events() if event["event"] == "started_from"]
     assert (event["run"], event["checkpoint"], event["steps"]) == (source.id, "last", 80)
     before, after = (checkpoint.load(run.checkpoints, "last")[0]["agent"] for run in (source, folder))

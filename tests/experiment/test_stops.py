@@ -4,36 +4,32 @@ import os
 import signal
 import threading
 import time
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
-from support import hostile
+from support import hostile, toy_runs
+from support.listeners import Heard, stopping_at
 from support.states import assert_same_runs
 
 from karolos.experiment import writer
-from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted, RunTested, RunWarned
+from karolos.experiment.events import RunAdvanced, RunBusy, RunStarted
 from karolos.experiment.signals import StopRequestedError, stop_on_signals
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, checkpoint
 from karolos.store import Store
 
-REACH: dict[str, Any] = {
-    "name": "reach",
-    "robot": {"name": "panda", "control": "cartesian"},
-    "task": {"name": "reach", "reward": "sparse", "max_steps": 10},
-    "agent": {"name": "sac", "hidden": [8], "precision": "float32"},
-    "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {}},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 1, "warmup_episodes": 0},
-    "testing": {"interval": 60, "episodes": 2},
-    "demonstrations": {"episodes": 3, "updates": 2},
-}
-
-
-def run(runs: Path, **options: Any) -> RunFolder:
-    (summary,) = Experiment(REACH).run(runs, check=False, **options).runs
-    return RunFolder.open(summary.folder)
+REACH = toy_runs.toy(
+    toy_runs.REACH,
+    task={"reward": "sparse", "max_steps": 10},
+    agent={"precision": "float32"},
+    buffer={"hindsight": {}},
+    training={"steps": 60, "replay_ratio": 1, "warmup_episodes": 0},
+    testing={"interval": 60},
+    demonstrations={"episodes": 3, "updates": 2},
+)
+run = partial(toy_runs.run_of, REACH)
 
 
 def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_again(tmp_path):
@@ -46,9 +42,9 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert "demonstrated" not in [event["event"] for event in folder.events()]
     assert checkpoint.read_meta(folder.checkpoints, "last")["steps"] == 0
     before = folder.summary().total_seconds
-    events: list[object] = []
-    resumed = run(tmp_path / "stopped", existing="resume", listener=events.append)
-    assert not any(isinstance(event, RunWarned) for event in events)
+    heard = Heard()
+    resumed = run(tmp_path / "stopped", existing="resume", listener=heard)
+    assert not heard.warnings
     assert resumed.summary().total_seconds > before + resumed.summary().seconds > before
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
@@ -67,9 +63,9 @@ def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path, monkeypa
 
 
 def test_listener_hears_what_a_run_does_besides_training(tmp_path):
-    events: list[object] = []
-    run(tmp_path, listener=events.append)
-    busy = [event for event in events if isinstance(event, RunBusy)]
+    heard = Heard()
+    run(tmp_path, listener=heard)
+    busy = [event for event in heard if isinstance(event, RunBusy)]
     first, last = {}, {}
     for event in busy:
         first.setdefault(event.activity, (event.done, event.total))
@@ -119,9 +115,7 @@ def test_folder_and_list_say_how_far_a_run_is_before_its_first_test(tmp_path, mo
 def test_a_stop_breaks_off_what_takes_long_and_loses_nothing(phase, tmp_path, monkeypatch):
     resumes = phase.rpartition(".")[2] in ("newest_snapshot", "restore")
     if resumes:
-        Experiment(REACH).run(
-            tmp_path, check=False, listener=lambda event: isinstance(event, RunTested) and terminate()
-        )
+        run(tmp_path, listener=stopping_at(0))
 
     def long(*_: object, **__: object) -> None:
         begun.append(time.monotonic())

@@ -1,16 +1,14 @@
 """What a run writes into TensorBoard; what its agents say is tested with them."""
 
 import re
-import signal
 from pathlib import Path
 
 import pytest
-from support.toy_runs import toy
+from support.listeners import stopping_at
+from support.toy_runs import run_of, toy
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 
-from karolos.experiment.events import RunTested
-from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
 pytestmark = pytest.mark.xdist_group(__name__)
@@ -21,7 +19,7 @@ TOY = toy(buffer={"name": "priority"}, training={"steps": 240}, testing={"interv
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
     """Of a finished run."""
-    return RunFolder.open(Experiment(TOY).run(tmp_path_factory.mktemp("runs")).runs[0].folder)
+    return run_of(TOY, tmp_path_factory.mktemp("runs"))
 
 
 def series(folder: RunFolder) -> EventAccumulator:
@@ -49,12 +47,8 @@ def test_a_test_stands_at_the_step_at_which_it_was_made_and_says_what_the_folder
 
 
 def test_a_run_that_was_resumed_has_the_points_of_one_that_was_not(folder, tmp_path):
-    def stop(event: object) -> None:
-        if isinstance(event, RunTested) and event.result.steps == 200:
-            signal.raise_signal(signal.SIGTERM)
-
-    Experiment(TOY).run(tmp_path, listener=stop, check=False)
-    resumed = RunFolder.open(Experiment(TOY).run(tmp_path, existing="resume").runs[0].folder)
+    run_of(TOY, tmp_path, listener=stopping_at(200))
+    resumed = run_of(TOY, tmp_path, existing="resume")
     for name in ("test/success_any", "buffer/transitions"):
         assert points(resumed, name) == points(folder, name)
 

@@ -3,19 +3,16 @@
 import os
 import shutil
 import signal
-import sys
 from pathlib import Path
 
 import pytest
 from support.fake_launcher import FakeLauncher
-from support.fork_server import FORKS
-from support.processes import killed_when
 from support.transfer_samples import LINE, line, run_matrix
 
 from karolos.errors import RunError, SpecError, UsageError
 from karolos.plans.matrix import Matrix
 from karolos.plans.matrix_report import transfer_report
-from karolos.records import RunFolder, provenance
+from karolos.records import RunFolder
 from karolos.records.run_folder import STOP, TRANSFERS
 from karolos.specification import load_spec, spec_from_dict
 from karolos.store import Store, check
@@ -71,9 +68,7 @@ def test_a_finished_matrix_is_reported_again_without_a_run_or_a_test(undisturbed
     assert numbers(again) == numbers(undisturbed)
 
 
-def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(undisturbed, tmp_path):
-    runs = tmp_path / "runs"
-    shutil.copytree(undisturbed.folder.parents[1], runs)
+def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_trained_again(undisturbed, runs):
     source = RunFolder.open(runs / undisturbed.sources["fast"][0].id)
     other = source.path.rename(source.path.with_name(source.path.name.replace("line-fast", "other")))
     (other / "run.json").write_text((other / "run.json").read_text().replace('"line-fast', '"other'))
@@ -83,25 +78,33 @@ def test_a_finished_run_of_another_name_with_the_settings_of_a_source_is_not_tra
     assert (outcome.exit_code, started) == (0, [])
 
 
-def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(undisturbed, tmp_path):
-    code = FORKS + "from pathlib import Path; from support.transfer_samples import run_matrix; run_matrix(Path('runs'))"
-    killed_when(
-        lambda: list(tmp_path.glob("runs/line-fast-to-slow-s1-*/tests.jsonl")),
-        [sys.executable, "-c", code],
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
-    )
-    found, _, started = run_matrix(tmp_path / "runs", resume=True)
-    assert started in (["line-fast-to-slow", *["line-slow-to-fast"] * 2], ["line-slow-to-fast"] * 2)
+@pytest.fixture
+def runs(undisturbed: Matrix, tmp_path: Path) -> Path:
+    """The runs folder of that matrix, once more."""
+    return shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+
+
+def untested(runs: Path, sources: dict[int, RunFolder]) -> list[Path]:
+    """Remove the zero-shot tests of some sources; returns their files."""
+    paths = [RunFolder.open(runs / source.id).path / TRANSFERS for source in sources.values()]
+    for path in paths:
+        path.unlink()
+    return paths
+
+
+def test_a_matrix_killed_in_the_middle_and_resumed_reports_as_an_undisturbed_one(undisturbed, runs):
+    """It was killed in the first run of the second pair. tests/torture kills runs at every other moment."""
+    shutil.rmtree(runs / undisturbed.fine_tuned["slow", "fast"][1].id)
+    RunFolder.open(runs / undisturbed.fine_tuned["slow", "fast"][0].id).set_state("running", steps=40)
+    found, _, started = run_matrix(runs, resume=True)
+    assert started == ["line-slow-to-fast"] * 2
     assert numbers(found) == numbers(undisturbed)
-    assert len(list((tmp_path / "runs").glob("*/run.json"))) == 8
+    assert len(list(runs.glob("*/run.json"))) == 8
 
 
 @pytest.mark.parametrize("blind", [False, True])
-def test_a_test_whose_process_died_is_played_again_once(undisturbed, tmp_path, blind):
-    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
-    for seed in (0, 1):
-        (RunFolder.open(runs / undisturbed.sources["fast"][seed].id).path / TRANSFERS).unlink()
+def test_a_test_whose_process_died_is_played_again_once(undisturbed, runs, blind):
+    untested(runs, undisturbed.sources["fast"])
     launcher = FakeLauncher(True, True, False, blind=blind)
     found, outcome, started = run_matrix(runs, resume=True, launcher=launcher)
     assert started == ["(line-fast-to-slow)"] * 3
@@ -114,23 +117,8 @@ def test_a_test_whose_process_died_is_played_again_once(undisturbed, tmp_path, b
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_test_that_cannot_be_played_says_why(undisturbed, tmp_path):
-    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
-    (RunFolder.open(runs / undisturbed.sources["slow"][0].id).path / TRANSFERS).unlink()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(provenance, "software", lambda: {"versions": provenance.versions(), "sources": {"karolos": "0"}})
-        found, _, started = run_matrix(runs, resume=True, launcher=FakeLauncher(blind=True))
-    assert started == ["(line-slow-to-fast)"]
-    (problem,) = found.problems
-    assert problem.startswith("the test of slow to fast, seed 0: ")
-    assert "the source of karolos is another one" in problem
-
-
-def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed, tmp_path):
-    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
-    results = [RunFolder.open(runs / one.id).path / TRANSFERS for one in undisturbed.sources["fast"].values()]
-    for path in results:
-        path.unlink()
+def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed, runs):
+    results = untested(runs, undisturbed.sources["fast"])
 
     class Stopping(FakeLauncher):
         def start(self, folder: Path) -> None:
@@ -145,8 +133,7 @@ def test_a_stop_breaks_tests_off_and_nothing_is_written(undisturbed, tmp_path):
     assert numbers(found) == numbers(undisturbed)
 
 
-def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed, tmp_path):
-    runs = shutil.copytree(undisturbed.folder.parents[1], tmp_path / "runs")
+def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturbed, runs):
     folder = RunFolder.open(runs / undisturbed.sources["slow"][1].path.name)
     shutil.rmtree(folder.checkpoints / "best")
     with pytest.raises(RunError, match=rf"^{folder.id}: the source has no checkpoint 'best'; .*karolos runs rm"):

@@ -12,6 +12,7 @@ from karolos.plans.objectives import directions, measure, nominal_steps, so_far
 from karolos.plans.study import STARTUP_TRIALS, Study
 from karolos.records.evaluation import Evaluation
 from karolos.specification import spec_from_dict
+from karolos.system.files import append_lines
 
 CONDITIONAL = {
     **LEARNING_RATE,
@@ -58,8 +59,6 @@ def test_trials_left_open_are_taken_up_with_what_they_had_drawn(tmp_path):
 
 
 def test_a_journal_whose_last_line_is_torn_is_read_on(tmp_path):
-    from karolos.system.files import append_lines
-
     finish(study(tmp_path), 2)
     journal = tmp_path / "journal.log"
     with journal.open("a") as file:
@@ -93,7 +92,7 @@ def test_a_grid_goes_through_its_combinations_in_order(tmp_path):
 def test_the_pruner_gives_up_a_trial_below_the_median_after_the_warm_up_only(tmp_path):
     one = study(tmp_path, LEARNING_RATE, pruner={"warmup": 0.5, "startup": 1})
     good = one.ask()
-    assert not any(good_step for good_step in (one_step(good, 50), one_step(good, 100), one_step(good, 150)))
+    assert not any(good.is_hopeless(1.0, step) for step in (50, 100, 150))
     good.end(values=[1.0])
     bad = one.ask()
     assert not bad.is_hopeless(0.0, 50)
@@ -101,10 +100,6 @@ def test_the_pruner_gives_up_a_trial_below_the_median_after_the_warm_up_only(tmp
     bad.end()
     assert [trial.state for trial in one.trials()] == ["complete", "pruned"]
     assert [trial.number for trial in one.front()] == [0]
-
-
-def one_step(trial, step: int) -> bool:
-    return trial.is_hopeless(1.0, step)
 
 
 def test_several_objectives_give_a_front(tmp_path):

@@ -6,6 +6,7 @@ import shutil
 import signal
 import sys
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -15,11 +16,12 @@ from support.fake_launcher import FakeLauncher
 from support.fork_server import FORKS
 from support.processes import child_processes, killed_when
 from support.sweep_samples import LEARNING_RATE, sweep_spec
+from support.toy_runs import run_of
 
 from karolos.comparison import gather
 from karolos.errors import NoSuchRunError, RunError, UsageError
-from karolos.experiment.events import RunTested, RunWarned
-from karolos.launchers.experiment import Experiment, Outcome
+from karolos.experiment.events import RunWarned
+from karolos.launchers.experiment import Outcome
 from karolos.launchers.runs import Home, RunJob
 from karolos.plans.objectives import measure_all
 from karolos.plans.study import Study
@@ -81,6 +83,13 @@ def killed(tmp_path_factory) -> SweepRecord:
     return found
 
 
+@pytest.fixture
+def store(killed) -> Iterator[Store]:
+    """The database of that sweep."""
+    with Store(Store.default_url(Path(killed.folder).parents[1])) as opened:
+        yield opened
+
+
 def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none_is_doubled(killed):
     assert [trial.number for trial in killed.trials] == list(range(TRIALS))
     assert {trial.state for trial in killed.trials} == {"complete"}
@@ -94,14 +103,8 @@ def test_a_sweep_that_was_killed_and_lost_a_worker_ends_with_its_trials_and_none
 
 
 def test_a_sweep_finds_a_better_learning_rate_than_a_bad_default(killed, tmp_path):
-    found = []
-    Experiment({key: value for key, value in SPEC.items() if key != "sweep"} | {"seeds": [0]}).run(
-        tmp_path,
-        listener=lambda event: found.append(event.result.success_end) if isinstance(event, RunTested) else None,
-    )
-    default = sum(found) / len(found)
-    assert killed.best is not None
-    assert killed.best.values[0] > default + 0.2
+    found = [test.success_end for test in run_of({**SPEC, "sweep": None, "seeds": [0]}, tmp_path).tests()]
+    assert killed.best.values[0] > sum(found) / len(found) + 0.2
     assert killed.best.drawn["agent.learning_rate"] > 1e-4
 
 
@@ -129,35 +132,21 @@ def test_the_best_trial_is_a_spec_that_runs_and_is_reported_by_its_final_test(ki
     assert values == (folder.final()["last"].success_end, folder.final()["last"].mean_return)
 
 
-def test_only_the_reporting_seeds_of_a_trial_are_compared(killed):
-    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
-        best = gather(store, store.runs(name=killed.best.name), "best")
-        assert [run.summary.seed for run in best.runs] == [3]
-        [problem] = best.problems
-        assert "only the seeds that the sweep line reports on count" in problem
-        assert problem.endswith("on 0, 1")
-        other = next(trial for trial in killed.trials if trial.number != killed.best.number)
-        [problem] = gather(store, store.runs(name=other.name), "other").problems
-        assert "biased upwards" in problem
-
-
-def test_runs_of_the_best_spec_on_seeds_that_tuned_it_are_told_from_others(killed):
-    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
-        runs = [replace(run, name="line-best") for run in store.runs(name=killed.best.name)]
-        [problem] = gather(store, [run for run in runs if run.seed == 0], "tuned").problems
-        assert "biased upwards" in problem
-        assert gather(store, [run for run in runs if run.seed == 3], "reported").problems == ()
-
-
-def test_runs_of_a_trial_and_of_the_best_spec_that_are_selected_together_count_by_their_seeds(killed):
-    with Store(Store.default_url(Path(killed.folder).parents[1])) as store:
-        runs = store.runs(name=killed.best.name)
-        other = [replace(run, name="line-best") for run in runs if run.seed < 3]
-        gathered = gather(store, [*runs, *other], "both")
+def test_only_runs_on_reporting_seeds_are_compared_whatever_their_name(killed, store):
+    trial = store.runs(name=killed.best.name)
+    best = [replace(run, name="line-best") for run in trial]
+    tuned = [run for run in best if run.seed < 3]
+    for runs in (trial, [*trial, *tuned]):
+        gathered = gather(store, runs, "both")
         assert [run.summary.seed for run in gathered.runs] == [3]
-        assert gathered.problems[0].endswith("sweep line reports on count; it tuned or chose the settings on 0, 1")
-        biased, *_ = gather(store, [run for run in (*runs, *other) if run.seed == 0], "both").problems
-        assert "both: the sweep line tuned or chose its settings by these runs" in biased
+        only = "only the seeds that the sweep line reports on count; it tuned or chose the settings on 0, 1"
+        assert gathered.problems[0].endswith(only)
+    assert gather(store, [run for run in best if run.seed == 3], "reported").problems == ()
+    other = next(trial for trial in killed.trials if trial.number != killed.best.number)
+    for biased in (store.runs(name=other.name), tuned, [*trial, *tuned]):
+        [problem, *_] = gather(store, [run for run in biased if run.seed == 0], "both").problems
+        assert problem.startswith("both: the sweep line tuned or chose its settings by these runs")
+        assert "biased upwards" in problem
 
 
 def test_without_runs_the_name_of_the_best_spec_means_the_chosen_trial_or_says_how_to_make_them(copied):
@@ -182,6 +171,9 @@ def copied(killed, tmp_path) -> Path:
     return tmp_path / "runs"
 
 
+MORE = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
+
+
 @pytest.mark.usefixtures("plain")
 def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_nothing(copied):
     (copied / "sweeps" / "line" / "final.json").unlink()
@@ -193,13 +185,11 @@ def test_without_a_final_phase_the_best_spec_has_seeds_and_episodes_that_tuned_n
 
 
 def test_a_call_that_is_stopped_in_the_final_phase_keeps_that_of_an_earlier_one(killed, copied):
-    more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
-
     def stop(event: object) -> None:
         if isinstance(event, FinalBegan):
             os.kill(os.getpid(), signal.SIGTERM)
 
-    stopped, outcome = searched(more, copied, listener=stop)
+    stopped, outcome = searched(MORE, copied, listener=stop)
     assert outcome.exit_code == 143
     assert stopped.final == killed.final
     assert read_sweep(Path(stopped.folder))[0].final == killed.final
@@ -207,8 +197,7 @@ def test_a_call_that_is_stopped_in_the_final_phase_keeps_that_of_an_earlier_one(
 
 @pytest.mark.usefixtures("plain")
 def test_no_seed_that_the_best_was_chosen_by_reports_on_it_later(copied):
-    more = SPEC | {"sweep": SPEC["sweep"] | {"final": SPEC["sweep"]["final"] | {"seeds": 2}}}
-    found = [searched(spec, copied)[0].final for spec in (more, SPEC)]
+    found = [searched(spec, copied)[0].final for spec in (MORE, SPEC)]
     assert (found[0].seeds, found[1].report_seeds) == ((1, 3), (4,))
 
 
@@ -238,8 +227,9 @@ def test_the_folder_knows_of_trials_as_they_begin_and_end_and_their_runs_are_mar
         if not isinstance(event, RunWarned):
             heard.append([trial.state for trial in find_sweep(tmp_path, "line").trials])
 
-    space = {"agent.learning_rate": {"choice": [1e-3, 1e-2]}}
-    spec = sweep_spec(space, sampler="grid") | {"training": {"steps": 8, "batch_size": 4}}
+    spec = sweep_spec({"agent.learning_rate": {"choice": [1e-3, 1e-2]}}, sampler="grid") | {
+        "training": {"steps": 8, "batch_size": 4}
+    }
     outcome, _ = searched(spec, tmp_path, listener=listen)
     assert heard == [["running"], ["complete"], ["complete", "running"], ["complete", "complete"]]
     found = find_sweep(tmp_path, outcome.sweep)
@@ -318,8 +308,7 @@ def test_a_spec_without_a_sweep_is_refused():
 
 
 def test_an_experiment_leaves_the_sweep_of_its_spec_alone(tmp_path):
-    outcome = Experiment({**SPEC, "training": {"steps": 4, "batch_size": 4}}).run(tmp_path)
-    assert "sweep" not in RunFolder.open(outcome.runs[0].folder).spec()
+    assert "sweep" not in run_of({**SPEC, "training": {"steps": 4, "batch_size": 4}}, tmp_path).spec()
 
 
 def test_another_plugin_keeps_the_settings_that_both_have():

@@ -4,27 +4,59 @@ import multiprocessing
 import os
 import signal
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import suppress
 from pathlib import Path
 from time import monotonic, sleep
-from typing import Any, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 from support.fork_server import SERVER
 
 Found = TypeVar("Found")
 
 
-def child_processes() -> list[int]:
-    """The ids of this process's children, without the server of tests/support/fork_server.py."""
-    found, server = [], SERVER.process
+class Process(NamedTuple):
+    """The parent and the session of a process."""
+
+    parent: int
+    session: int
+
+
+def living() -> dict[int, Process]:
+    """The processes of this machine by their ids, without those that only wait for their parents."""
+    found = {}
     for path in Path("/proc").glob("[0-9]*/stat"):
         with suppress(OSError):  # it has ended meanwhile
-            parent = int(path.read_text().rpartition(")")[2].split()[1])
-            if parent == os.getpid():
-                found.append(int(path.parent.name))
-    return [child for child in found if server is None or child != server.pid]
+            # After the name in brackets: state, parent, group, session.
+            state, parent, _, session, *_ = path.read_text().rpartition(")")[2].split()
+            if state != "Z":
+                found[int(path.parent.name)] = Process(int(parent), int(session))
+    return found
+
+
+def child_processes() -> list[int]:
+    """The ids of this process's children, without the server of tests/support/fork_server.py."""
+    server = SERVER.process
+    children = [pid for pid, process in living().items() if process.parent == os.getpid()]
+    return [child for child in children if server is None or child != server.pid]
+
+
+def ancestors(pid: int) -> list[int]:
+    """Parents of a process, the nearest first; none if it has ended."""
+    found, processes = list[int](), living()
+    while pid in processes:
+        pid = processes[pid].parent
+        found.append(pid)
+    return found
+
+
+def holders(locks: Iterable[Path]) -> list[int]:
+    """The processes that hold these files locked."""
+    inodes = {path.stat().st_ino for path in locks}
+    # A line of a held lock: "1: FLOCK ADVISORY WRITE 4242 08:01:123456 0 EOF"; of one waited for: "1: -> FLOCK ..."
+    held = [line.split() for line in Path("/proc/locks").read_text().splitlines() if "->" not in line]
+    return [int(words[4]) for words in held if int(words[5].rpartition(":")[2]) in inodes]
 
 
 def kill_worker(number: int) -> None:
@@ -53,13 +85,7 @@ def killed_when(holds: Callable[[], object], command: Sequence[str], *, alone: b
 
 def wait_until_gone(*pids: int) -> None:
     """Wait until these processes have ended."""
-    wait_for(lambda: not any(map(_is_alive, pids)), 20)
-
-
-def _is_alive(pid: int) -> bool:
-    with suppress(OSError):
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    return False
+    wait_for(lambda: not living().keys() & {*pids}, 20)
 
 
 class Here(Executor):
