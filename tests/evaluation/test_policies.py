@@ -7,7 +7,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
-from support.toy_runs import toy
+from support.toy_runs import run_of, toy
 
 import karolos
 from karolos.core import Array
@@ -15,16 +15,9 @@ from karolos.environments.gymnasium.export import GoalEnv
 from karolos.environments.toy import Toy
 from karolos.errors import MachineError, NoSuchRunError, SpecError, UsageError
 from karolos.evaluation.playing import load_expert, load_player, play
-from karolos.evaluation.policies import (
-    SavedAgent,
-    expert_policy,
-    has_window,
-    load_agent,
-    random_policy,
-)
+from karolos.evaluation.policies import SavedAgent, expert_policy, has_window, load_agent, random_policy
 from karolos.export import NumpyPolicy
 from karolos.export.export import export_policy
-from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 from karolos.records.shipped import FOLDER
 from karolos.specification import Spec, load_spec, spec_from_dict
@@ -88,7 +81,7 @@ def test_a_random_policy_fills_the_action_range_and_is_determined_by_its_seed():
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> RunFolder:
-    return RunFolder.open(Experiment(TOY).run(tmp_path_factory.mktemp("runs")).runs[0].folder)
+    return run_of(TOY, tmp_path_factory.mktemp("runs"))
 
 
 def test_a_saved_policy_plays_without_exploration_and_the_same_each_time(folder):
@@ -141,7 +134,7 @@ def test_a_file_a_spec_a_run_and_what_gymnasium_makes_of_it_again_are_one_enviro
 
 def test_what_training_draws_is_drawn_on_demand():
     gravity = {"task.gravity": {"name": "uniform", "low": -11, "high": -9}}
-    spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "sac", "randomization": gravity})
+    spec = reach(randomization=gravity)
     assert "parameters" not in karolos.make(spec).reset(seed=0)[1]
     assert -11 <= karolos.make(spec, randomize=True).reset(seed=0)[1]["parameters"]["task.gravity"] <= -9
 

@@ -121,25 +121,19 @@ def test_other_layouts_are_refused_and_both_are_shown(reach, toy):
 
 
 @pytest.mark.parametrize(
-    ("overrides", "message"),
+    ("overrides", "options", "error", "message"),
     [
-        (["agent.hidden=[3]"], "changes the training"),
-        (["training.steps=3"], "changes the training"),
-        (["testing.episodes=3"], "--episodes"),
+        (["agent.hidden=[3]"], {}, UsageError, "changes the training"),
+        (["training.steps=3"], {}, UsageError, "changes the training"),
+        (["testing.episodes=3"], {}, UsageError, "--episodes"),
+        (["environment.treshold=0.1"], {}, SpecError, "did you mean 'threshold'"),
+        ([], {"randomize": True}, UsageError, "nothing to randomize"),
+        ([], {"checkpoint": "never"}, RunError, "never"),
     ],
 )
-def test_overrides_of_training_are_refused(toy, overrides, message):
-    with pytest.raises(UsageError, match=message):
-        zero_shot_test(toy, overrides)
-
-
-def test_wrong_overrides_and_nothing_to_randomize_are_refused(toy):
-    with pytest.raises(SpecError, match="did you mean 'threshold'"):
-        zero_shot_test(toy, ["environment.treshold=0.1"])
-    with pytest.raises(UsageError, match="nothing to randomize"):
-        zero_shot_test(toy, randomize=True)
-    with pytest.raises(RunError, match="never"):
-        zero_shot_test(toy, checkpoint="never")
+def test_what_cannot_be_tested_is_refused_and_nothing_is_written(toy, overrides, options, error, message):
+    with pytest.raises(error, match=message):
+        zero_shot_test(toy, overrides, **options)
     assert not (toy.path / TRANSFERS).exists()
 
 
@@ -174,7 +168,7 @@ def test_many_that_add_at_once_lose_nothing(toy):
 
 def test_a_lock_held_by_another_process_is_an_error(toy, monkeypatch):
     first = zero_shot_test(toy)
-    monkeypatch.setattr("karolos.files.LOCK_SECONDS", 0.0)
+    monkeypatch.setattr("karolos.system.files.LOCK_SECONDS", 0.0)
     lock = FileLock(toy.path / "transfers.lock")
     assert lock.acquire()
     with pytest.raises(MachineError, match="locked"):

@@ -73,15 +73,6 @@ def test_only_the_driver_indexes_and_the_index_equals_the_folders(tmp_path):
     assert [len(tests) for tests in job.results().values()] == [2, 2]
 
 
-def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(tmp_path):
-    launcher = FakeLauncher(True, False)
-    job, events = drive(tmp_path, launcher, retries=1)
-    assert len(launcher.started) == 2
-    assert len(set(launcher.started)) == 1, "the second process resumes the first one's run"
-    assert job.finished
-    assert sum(isinstance(event, RunEnded) for event in events) == 1
-
-
 def test_a_run_whose_process_died_too_often_is_lost_and_the_other_seeds_go_on(tmp_path):
     job, events = drive(tmp_path, FakeLauncher(True), spec=toy(seeds=[0, 1]))
     assert [job.summaries[seed].state for seed in (0, 1)] == ["lost", "finished"]
@@ -118,11 +109,15 @@ def stopped(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_stopped_run_whose_process_dies_before_it_resumes_is_not_at_an_end(stopped):
+@pytest.mark.parametrize("existing", ["ignore", "resume"])
+def test_a_run_whose_process_died_is_started_again_as_often_as_allowed(stopped, existing):
+    """That the stopped run has ended before is no end of its new process."""
     launcher = FakeLauncher(True, False)
-    job, _ = drive(stopped, launcher, existing="resume", retries=1)
+    job, events = drive(stopped, launcher, existing=existing, retries=1)
     assert len(launcher.started) == 2
+    assert len(set(launcher.started)) == 1, "the second process resumes the first one's run"
     assert job.finished
+    assert sum(isinstance(event, RunEnded) for event in events) == 1
 
 
 @pytest.mark.parametrize("blind", [False, True])

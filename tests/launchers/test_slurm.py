@@ -17,7 +17,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
 
-TOY = toy(seeds=[0, 1], training={"steps": 1200}, testing={"interval": 100})
+TOY = toy(seeds=[0, 1], training={"steps": 600}, testing={"interval": 100})
 SHORT = toy(training={"steps": 200}, testing={"interval": 100})
 
 

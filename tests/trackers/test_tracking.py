@@ -3,31 +3,18 @@
 import struct
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 import pytest
 from karolos_cli.main import app
 from support.commands import call
+from support.listeners import Heard
+from support.toy_runs import run_of, toy
 
 from karolos.experiment import tracking
-from karolos.experiment.events import RunEvent, RunWarned
-from karolos.launchers.experiment import Experiment
-from karolos.records import RunFolder
 from karolos.specification import spec_from_dict
 
-TOY: dict[str, Any] = {
-    "name": "toy",
-    "environment": "toy",
-    "agent": {"name": "sac", "hidden": [8]},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 1, "warmup_episodes": 0},
-    "testing": {"interval": 20, "episodes": 2},
-}
-
-
-def trained(runs: Path, **more: Any) -> RunFolder:
-    return RunFolder.open(Experiment({**TOY, **more}).run(runs).runs[0].folder)
+TOY = toy(training={"steps": 60}, testing={"interval": 20})
 
 
 def test_a_tracker_is_no_part_of_what_a_run_is():
@@ -36,7 +23,7 @@ def test_a_tracker_is_no_part_of_what_a_run_is():
 
 def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_nothing(tmp_path):
     tracking_of = pytest.importorskip("mlflow.tracking")
-    folder = trained(tmp_path, tracking="mlflow")
+    folder = run_of(toy(TOY, tracking="mlflow"), tmp_path)
     client = tracking_of.MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
     for _ in range(2):
         [run] = client.search_runs([client.get_experiment_by_name("karolos").experiment_id])
@@ -53,7 +40,7 @@ def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_noth
 def test_trackio_holds_every_test(tmp_path, monkeypatch):
     storage = pytest.importorskip("trackio.sqlite_storage")
     monkeypatch.setattr(storage, "TRACKIO_DIR", tmp_path / "trackio")
-    folder = trained(tmp_path / "runs")
+    folder = run_of(TOY, tmp_path / "runs")
     for _ in range(2):
         tracking.push("trackio", folder)
         rows = storage.SQLiteStorage.get_logs("karolos", folder.id)
@@ -81,7 +68,7 @@ def test_wandb_keeps_an_offline_run_of_every_test(tmp_path, monkeypatch):
     from wandb.proto.wandb_internal_pb2 import Record
 
     monkeypatch.setenv("WANDB_MODE", "offline")
-    folder = trained(tmp_path, tracking="wandb")
+    folder = run_of(toy(TOY, tracking="wandb"), tmp_path)
     [file] = (tmp_path / "wandb").glob("offline-run-*/*.wandb")
     assert folder.id in file.name
     records, deadline = list[Any](), time.monotonic() + 20
@@ -98,12 +85,11 @@ def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path, monkeypatc
     def fail(*_: Any) -> None:
         raise ConnectionError("no route to the tracker")
 
-    events: list[RunEvent] = []
+    heard = Heard()
     monkeypatch.setattr(tracking, "open_tracker", fail)
     monkeypatch.setenv(tracking.VARIABLE, "mlflow")
-    outcome = Experiment(TOY).run(tmp_path, listener=events.append)
-    assert outcome.runs[0].state == "finished"
-    [warning] = [one.warning for one in events if isinstance(one, RunWarned)]
+    assert run_of(TOY, tmp_path, listener=heard).state().state == "finished"
+    [warning] = heard.warnings
     assert warning.startswith("the tracker failed: ConnectionError: no route to the tracker (the run goes on; `karolos")
     monkeypatch.undo()
     code, _, said = call(app, "runs", "push", "@last", "--to", "mlfow", "--runs", str(tmp_path))
@@ -111,7 +97,7 @@ def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path, monkeypatc
 
 
 def test_secrets_and_code_do_not_reach_a_tracker(tmp_path):
-    folder = trained(tmp_path)
+    folder = run_of(TOY, tmp_path)
     told = tracking.Tracked.of(folder)
     assert (told.group, told.settings["agent.name"]) == ("toy", "sac")
     assert "code.diff" not in tracking.FILES
