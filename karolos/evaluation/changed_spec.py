@@ -32,7 +32,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
 
     Args:
         saved: of the run.
-        overrides: `path.to.key=value`, each below one of CHANGEABLE; also a parameter's value, e.g. task.gravity=-5.
+        overrides: `path.to.key=value`, each below one of CHANGEABLE.
         trained: signature of the environment that the policy was trained in.
         randomize: whether the distributions of the run stay.
 

@@ -119,7 +119,6 @@ class EvaluationProcess:
 
 
 def _play(resolved: str, agent: bytes, test: DueEvaluation) -> tuple[Evaluation, list[Failure]]:
-    """Play a test in the second process."""
     failures: list[Failure] = []
     result = _evaluator(resolved).play(replace(test, agent=checkpoint.unpack_state(agent)), failures.append)
     return result, failures

@@ -39,18 +39,10 @@ def load_player(
 ) -> Iterator[Player]:
     """The policy of a run's checkpoint, and one environment, which is closed after the block.
 
-    Args:
-        folder: the run's.
-        name: `best` or `last`.
-        overrides: as for `changed_spec`. No other parameter is randomized.
-        window: whether to show the world in a window, if the environment has one.
+    No parameter is randomized except by the overrides. `window` shows the world, if the environment can.
 
-    Raises:
-        SpecError: an override is not valid.
-        UsageError: an override is about training, or changes a layout.
-        RunError: the checkpoint is missing or damaged.
-        MachineError: there is no display for the window.
-        PluginError: a plugin fails in the block.
+    Raises as `load_agent` and `changed_spec`, MachineError if there is no display for the window, PluginError if a
+    plugin fails in the block.
     """
     saved = load_agent(folder, name)
     spec = changed_spec(saved.spec, overrides, trained=saved.signature)
@@ -62,8 +54,7 @@ def load_player(
 def load_expert(spec: Spec, *, window: bool = False) -> Iterator[Player]:
     """The expert of a spec's task, and one environment without randomization, which is closed after the block.
 
-    Raises UsageError if there is no expert, MachineError if there is no display for the window, PluginError if a plugin
-    fails in the block.
+    Raises UsageError if there is no expert, and as `load_player`.
     """
     with used(environment_of(spec, window=window)) as environment:
         yield Player(spec, environment, expert_policy(environment), None)

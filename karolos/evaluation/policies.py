@@ -185,14 +185,10 @@ def has_window(spec: Spec) -> bool:
 
 
 def load_agent(folder: RunFolder, name: str = "best") -> SavedAgent:
-    """The agent of a run's checkpoint. Warns of files that were edited since the run began.
+    """The agent of a run's checkpoint, `best` or `last`. Warns of files that were edited since the run began.
 
-    Args:
-        folder: the run's.
-        name: `best` or `last`; a shipped run has one policy, `last`.
-
-    Raises:
-        RunError: the checkpoint is missing, or the checkpoint or the resolved spec is damaged.
+    A shipped run has one policy, for each name. Raises RunError if the checkpoint is missing, or if the checkpoint or
+    the resolved spec is damaged.
     """
     spec, learned = spec_of(folder), read_learned(folder, name)
     if changed := provenance.edited(folder.description(), spec.files()):

@@ -76,8 +76,7 @@ def play_episodes(
         orchestrator: the environments.
         agent: acts without exploration.
         seeds: one per episode.
-        steps: environment steps of training so far, for the result.
-        seconds: of training so far, for the result.
+        steps, seconds: of training so far, for the result.
         on_failure: is called with each failure of an environment, whose episode is then played again.
         on_round: is called with the number of completed episodes before each step of the environments. An error that
             it raises abandons the test; the orchestrator can play another one afterwards.

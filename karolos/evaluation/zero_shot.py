@@ -95,21 +95,15 @@ def zero_shot_test(
 
     Args:
         folder: the run's.
-        overrides: as for `changed_spec`.
+        overrides, randomize: as for `changed_spec`.
         checkpoint: `best` or `last`.
-        episodes: number of episodes; by default that of the final test, or of the run's tests without a final test.
+        episodes: by default those of the final test, or of the run's tests without a final test.
         seed: root of the episodes' seeds; by default that of the final test, whose episodes are held out.
-        randomize: whether to sample the spec's `randomization` at each reset.
         on_warning: is called with one line if the policy learned in another physics engine, and for each failure of an
             environment, whose episode is then played again.
         on_round: as for `play_episodes`; nothing is written if it raises an error.
 
-    Raises:
-        SpecError: an override is not valid.
-        UsageError: an override is about training, observations, actions or goals have another layout than in training,
-            or there is nothing to randomize.
-        RunError: the checkpoint is missing or damaged.
-        MachineError: the result cannot be written.
+    Raises as `changed_spec` and `load_agent`, and MachineError if the result cannot be written.
     """
     saved = load_agent(folder, checkpoint)
     here = playable(saved.spec)
@@ -169,13 +163,7 @@ def changed_test(
 ) -> Evaluation:
     """The result of a test under changed settings, with the policy that played, the time and the software.
 
-    Args:
-        saved: the policy.
-        result: of its episodes.
-        overrides: the changed settings.
-        seed: root of the episodes' seeds.
-        wall_seconds: duration of the test in s.
-        own: the same episodes under the unchanged spec; None: they were not played.
+    `own` are the same episodes under the unchanged spec; None: they were not played.
     """
     return replace(
         result,

@@ -23,7 +23,6 @@ REPLAY_SETTINGS = {
 }
 """Settings of `training` that an on-policy agent does not use -> hint."""
 FLOAT_BYTES = 4
-"""Size of a float32."""
 WORKER_BYTES = 30 << 20
 """Private memory of a worker process in bytes."""
 
@@ -32,12 +31,8 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
     """Build the spec's parts once, so that errors show before anything runs.
 
     Makes the first steps of an episode, which also compile the code that workers load. Builds agent and buffer, and
-    discards them. Returns a note if a run may make no gradient update, or if a sweep's objective may be the same in all
-    trials.
-
-    Args:
-        spec: to check.
-        jobs: number of its runs at the same time, which share the machine's memory.
+    discards them. `jobs` runs at the same time share the machine's memory. Returns a note if a run may make no gradient
+    update, or if a sweep's objective may be the same in all trials.
 
     Raises:
         UsageError: two parts do not fit together, or need too much memory; names the setting and where it was set.

@@ -27,18 +27,13 @@ class Checkpointer:
     """Writes checkpoints after each test and at the end of training.
 
     A checkpoint that cannot be written is a warning; the one before it stays.
-
-    Args:
-        writer: of the run.
-        spec: of the run.
-        seed: the run's.
-        pending: tests without a recorded result; the caller changes the list, and `last` contains it.
     """
 
     writer: RunWriter
     spec: Spec
     seed: int
     pending: list[DueEvaluation]
+    """Tests without a recorded result. The caller changes the list, and `last` contains it."""
     demonstrated: bool = field(default=True, init=False)
     """Whether the buffer holds the demonstrations of the spec, if it has any."""
     diverged: list[bool] = field(default_factory=list, init=False)

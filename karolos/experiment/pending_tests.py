@@ -41,13 +41,8 @@ class PendingTests:
     A process without a part of its own also plays the part of the other process, and the first result counts. A second
     process that hangs therefore costs no more time than it would have saved.
 
-    Args:
-        spec: of the run.
-        training: is tested.
-        pending: tests without a recorded result, in the order of their steps; `finished` removes tests.
-        writer: of the run, for warnings and the progress of tests.
-        stop: a request aborts the part that is played here. The tests stay pending.
-        two_processes: whether a second process may be started.
+    `pending` holds the tests without a recorded result, in the order of their steps; `finished` removes tests. A stop
+    request aborts the part that is played here, and the tests stay pending.
     """
 
     def __init__(

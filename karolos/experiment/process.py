@@ -37,10 +37,7 @@ EARLIER_PROCESS_SECONDS = 60.0
 def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | None:
     """Execute the run or the test of a folder that a driver follows. Returns the reason if it could not be executed.
 
-    Args:
-        path: of the folder.
-        cores: number of cores for a run.
-        driver: a file descriptor of a pipe, which ends with the driver.
+    `driver` is a file descriptor of a pipe, which ends with the driver.
     """
     launch, problem, requeued = path / LAUNCH, None, False
     try:

@@ -28,7 +28,6 @@ class Snapshot:
     meta: dict[str, Any]
     """The checkpoint's facts: experiment, seed, steps, updates, seconds, episodes_bytes."""
     checkpoint: str | None = None
-    """The checkpoint's name."""
     warnings: tuple[str, ...] = ()
     """Damaged checkpoints and the reasons."""
 

@@ -42,27 +42,21 @@ DIVERGING = 0.01
 
 @dataclass
 class Run:
-    """Carries one seed of a spec from an empty folder to a finished run.
-
-    Args:
-        spec: what to run.
-        seed: root of the run's random numbers.
-        folder: the run's own, created and locked.
-        url: SQLAlchemy URL of the results database; None: another process indexes the run.
-        listener: receives the events.
-        stop: is checked after each round.
-        snapshot: where an unfinished run resumes; None: the run starts.
-        two_processes: whether a second process may play tests while this one trains.
-    """
+    """Carries one seed of a spec from an empty folder to a finished run."""
 
     spec: Spec
     seed: int
     folder: RunFolder
+    """Created and locked."""
     url: str | None
+    """SQLAlchemy URL of the results database; None: another process indexes the run."""
     listener: Listener
     stop: StopRequest
+    """Is checked after each round."""
     snapshot: Snapshot | None = None
+    """Where an unfinished run resumes; None: the run starts."""
     two_processes: bool = False
+    """Whether a second process may play tests while this one trains."""
     _pending: list[DueEvaluation] = field(default_factory=list, init=False)
     """Tests without a recorded result."""
 
@@ -94,7 +88,6 @@ class Run:
         self.listener(RunEnded(self.folder.id, ending.state, ending.error, ending.traceback))
 
     def _train(self) -> Ending:
-        """Build everything, train and test."""
         spec, seeds = self.spec, SeedTree(self.seed)
         use_threads(spec)
         with ExitStack() as stack:
@@ -247,7 +240,6 @@ class Run:
             self._checkpointer.save(training)
 
     def _tested(self, training: Training, test: DueEvaluation, result: Evaluation) -> None:
-        """Record a test, then tell the listener."""
         self._writer.write_test(training, result)
         self._points.add_test(result)
         self._checkpointer.tested(training, test, result)

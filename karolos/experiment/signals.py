@@ -152,10 +152,7 @@ def stop_on_signals(
     Outside the main thread signals keep their handlers. SIGINT and SIGHUP stay ignored where they are, as under nohup
     and in a shell's background.
 
-    Args:
-        time_limit: seconds from now after which to stop.
-        file: as in StopRequest.
-        driver: as in StopRequest.
+    `time_limit` is in seconds from now; `file` and `driver` as in StopRequest.
     """
     request = StopRequest(None, None if time_limit is None else time.monotonic() + time_limit, file, driver)
     if threading.current_thread() is not threading.main_thread():

@@ -31,9 +31,7 @@ def pinned(spec: Spec, runs: Path) -> Spec:
 def find(spec: Spec, runs: Path) -> Learned | None:
     """The agent that the spec's agent starts from; None without `agent.start_from`.
 
-    Args:
-        spec: of the new run.
-        runs: folder of the runs, for a source run given by its id.
+    A source run may be given by its id in the folder `runs`.
 
     Raises:
         UsageError: there is no such run, its agent has another kind or shape, its observations, actions or goals have

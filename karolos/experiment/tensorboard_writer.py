@@ -28,13 +28,7 @@ class TensorBoardWriter:
 
     The event file is written in this thread: TensorBoard's own writer uses a thread whose errors nobody notices.
 
-    Args:
-        folder: of the event files; is created if it is missing.
-        writer: of the run, for warnings.
-        snapshot: where the run resumes; None if it starts. TensorBoard hides the points after it in older files.
-
-    Raises:
-        MachineError: the file cannot be created.
+    TensorBoard hides the points after the snapshot in older files. Raises MachineError if the file cannot be created.
     """
 
     def __init__(self, folder: Path, writer: RunWriter, snapshot: Snapshot | None) -> None:
@@ -79,7 +73,6 @@ class TensorBoardWriter:
         self._add(groups | {"train": means}, training.steps)
 
     def add_test(self, result: Evaluation) -> None:
-        """Points of a test."""
         means = {"return": result.known_return, "episode_length": float(np.mean(result.lengths))}
         known = {name: one["mean"] for name, one in result.measures.items() if one["mean"] is not None}
         self._add({"test": _success(result) | means, "measures": known}, result.steps)

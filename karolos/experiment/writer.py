@@ -41,28 +41,21 @@ class Ending:
     amounts: Mapping[str, Any] = field(default_factory=dict)
     """Steps, seconds and updates of training; empty if training was aborted."""
     reason: str | None = None
-    """Why it stopped."""
     error: str | None = None
-    """Why it failed."""
     traceback: str | None = None
     """Traceback of the error, if karolos or a plugin is at fault."""
 
 
 @dataclass
 class RunWriter:
-    """Writes state, events, tests and episodes of one run, and tells the listener the progress.
+    """Writes state, events, tests and episodes of one run, and tells the listener warnings and progress.
 
-    Args:
-        folder: the run's own, created and locked.
-        url: of the database, whose errors are warnings only; None: another process indexes the run.
-        listener: receives warnings and progress.
-
-    Raises:
-        MachineError: from every method, when the folder cannot be written.
+    Every method raises MachineError if the folder cannot be written. Errors of the database are warnings only.
     """
 
     folder: RunFolder
     url: str | None
+    """None: another process indexes the run."""
     listener: Listener
     training: Training | None = field(default=None, init=False)
     """The training whose progress is written; None before it exists."""
@@ -154,7 +147,6 @@ class RunWriter:
             index_run(self.url, self.folder)
 
     def write_final(self, final: Mapping[str, Evaluation]) -> None:
-        """The final test is over."""
         self.folder.write_final(final)
         numbers = {name: one.counts.encode() for name, one in final.items()}
         self.folder.event("final_test", seed=final["last"].seed, last=numbers["last"], best=numbers.get("best"))

@@ -88,13 +88,9 @@ class FolderTask(ABC):
 
 
 class Driver:
-    """Executes jobs through a launcher.
+    """Executes the tasks of jobs through a launcher. After a stop request the runs write a checkpoint and end.
 
-    Args:
-        launcher: executes their tasks.
-        listener: is called with every RunEvent.
-        stop: after a request the runs write a checkpoint and end.
-        retries: number of restarts of a task whose process died.
+    `retries` is the number of restarts of a task whose process died.
     """
 
     def __init__(self, launcher: Launcher, listener: Listener, stop: StopRequest, retries: int = 0) -> None:

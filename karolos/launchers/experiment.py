@@ -164,12 +164,7 @@ def resume_run(
 ) -> Outcome:
     """Resume one run from its newest checkpoint, bit for bit in lockstep. A finished run is returned as it is.
 
-    Args:
-        folder: the run's.
-        url: SQLAlchemy URL of the results database.
-        overrides: if given, a finished run is continued by a new run: see `continued_spec`.
-        time_limit: seconds after which to stop.
-        listener: is called with every RunEvent.
+    With overrides a finished run is continued by a new run: see `continued_spec`.
 
     Raises:
         RunError: another process is running it, or no checkpoint can be used.

@@ -27,10 +27,7 @@ class RunProcess:
     """A process of this machine that executes runs, one at a time.
 
     It has a process group of its own, so that Ctrl-C in a terminal reaches only the process that decides what to do.
-
-    Args:
-        cores: of a run.
-        command: beginning of the command line of the process.
+    `cores` are those of a run. The command line of the process begins with `command`.
     """
 
     def __init__(self, cores: int, command: Sequence[str] = ()) -> None:

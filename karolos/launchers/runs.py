@@ -42,19 +42,15 @@ Existing = Literal["ignore", "skip", "resume"]
 
 @dataclass(frozen=True)
 class Home:
-    """Where runs are kept, and what to do with existing ones.
-
-    Args:
-        runs: folder of the run folders.
-        url: SQLAlchemy URL of the results database.
-        existing: what to do with existing runs, as for `Experiment.run`.
-        text: the spec as its author wrote it.
-    """
+    """Where runs are kept, and what to do with existing ones."""
 
     runs: Path
     url: str
+    """SQLAlchemy URL of the results database."""
     existing: Existing = "ignore"
+    """As for `Experiment.run`."""
     text: str | None = None
+    """The spec as its author wrote it."""
 
     @classmethod
     def prepared(cls, spec: Spec, runs: str | Path, database: str | None, existing: Existing) -> Home:
@@ -69,10 +65,6 @@ class Home:
         remove_unfinished_imports(home.runs)
         prepare_index(home.runs, home.url)  # before anything is computed
         return home.of(spec)
-
-    def store(self) -> Store:
-        """The results database, to be closed."""
-        return Store(self.url)
 
     def of(self, spec: Spec) -> Home:
         """The same home for the runs of another spec."""
@@ -94,19 +86,13 @@ class Home:
 
 @dataclass(eq=False)
 class RunJob(Job):
-    """The runs of a spec, one for each seed.
-
-    Args:
-        spec: with its seeds.
-        home: where its runs are kept.
-        together: whether the failure of one run stops the others.
-        known: seed -> finished run that counts for it, whatever its name.
-    """
+    """The runs of a spec, one for each seed."""
 
     spec: Spec
     home: Home
     together: bool = False
     known: Mapping[int, RunFolder] = field(default_factory=dict)
+    """Seed -> finished run that counts for it, whatever its name."""
     folders: dict[int, RunFolder] = field(default_factory=dict)
     """Seed -> its started run."""
     summaries: dict[int, RunSummary] = field(default_factory=dict)
@@ -114,7 +100,6 @@ class RunJob(Job):
 
     @property
     def finished(self) -> bool:
-        """Whether every run is finished."""
         states = [summary.state for summary in self.summaries.values()]
         return states == ["finished"] * len(self.spec.seeds)
 

@@ -61,9 +61,6 @@ class Baselines:
 class Matrix(Plan):
     """The matrix that a spec's `transfer` describes.
 
-    Args:
-        spec: with a transfer.
-
     Raises:
         SpecError: the settings of a variant or of fine-tuning are invalid.
         UsageError: the spec has no transfer, or its name is too long.

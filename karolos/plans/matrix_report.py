@@ -157,12 +157,10 @@ class TransferReport:
 
     @property
     def labels(self) -> list[str]:
-        """The names of the targets."""
         return [variant.label for variant in self.variants]
 
     @property
     def sources(self) -> list[str]:
-        """The names of the sources."""
         return list(dict.fromkeys(cell.source for cell in self.cells))
 
     @property
@@ -278,7 +276,6 @@ def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, R
 
 
 def _reported(runs: Mapping[int, RunRecord], tree: SeedTree) -> Estimate | None:
-    """Success of the last policies."""
     if not runs:
         return None
     reported = [run.reported("end") for run in runs.values()]
@@ -458,7 +455,6 @@ def verdict(report: TransferReport) -> str:
 
 
 def notes(report: TransferReport) -> list[str]:
-    """Explanations of the numbers."""
     lines = [f"{metric.title}: {metric.meaning}" for metric in report.metrics.values()]
     lines += interval_notes(found for cell in report.cells for found in cell.estimates.values())
     for name, metric in report.metrics.items():
@@ -528,7 +524,6 @@ def transfer_figures(report: TransferReport) -> tuple[list[Drawing], list[Drawin
 def matrix_page(
     report: TransferReport, maps: Sequence[Drawing], curves: Sequence[Drawing], robots: Sequence[Drawing] = ()
 ) -> str:
-    """The page as text."""
     sections = [
         Section(text=verdict(report), figures=maps),
         *(Section(one.title, table=one) for one in over_targets(report)),

@@ -58,15 +58,8 @@ class Plan(ABC):
     ) -> Outcome:
         """Run all missing runs, and none twice.
 
-        Args:
-            runs: folder of the run folders, and of the plan's own folder.
-            database: SQLAlchemy URL of the results database.
-            jobs: runs (of a sweep: trials) at the same time, each run in its own process; None: one, or with another
-                launcher than `local` as many as it has room for.
-            existing: what to do with existing runs, as for `Experiment.run`. A sweep always resumes.
-            time_limit: seconds after which to stop.
-            listener: is called with every event.
-            say: is called with a line for each phase.
+        Arguments are those of `Experiment.run`. `jobs` counts trials in a sweep, which also always resumes. `say` is
+        called with a line for each phase.
 
         Raises:
             SpecError, UsageError: the plan cannot work, or has begun and is not to be resumed.
@@ -93,7 +86,6 @@ class Plan(ABC):
 
     @property
     def folder(self) -> Path:
-        """The plan's own folder."""
         return self.home.runs / self.place / self.folder_name
 
     @abstractmethod
@@ -110,11 +102,9 @@ class Plan(ABC):
         stack.enter_context(locked(self.folder / LOCK, refusal, LOCK_SECONDS))
 
     def hear(self, event: RunEvent) -> None:
-        """An event of a run."""
         self.listener(event)
 
     def warn(self, note: str) -> None:
-        """Warn the listener."""
         self.listener(RunWarned(self.name, note))
 
     def write_page(self, text: str) -> Path:

@@ -52,7 +52,6 @@ class PolicyScore:
     """The episodes of one policy on a robot."""
 
     policy: str
-    """The folder of its run."""
     task: str
     episodes: int
     success: float | None
@@ -145,7 +144,6 @@ def score_policy(
     Args:
         run: folder of its run.
         overrides: name the robot, as for `changed_spec`.
-        episodes: to play.
         film: file to write, with the first failure, or the first episode if none fails.
         runs: folder of the run folders, where tests of shipped policies are kept; None: they are not kept.
         size: of the film in pixels.
@@ -195,12 +193,7 @@ def score_robot(
 ) -> Iterator[PolicyScore]:
     """The scores of a robot with some policies, in their order, each in a process of its own.
 
-    Args:
-        policies: folders of their runs.
-        overrides: name the robot, as for `changed_spec`.
-        episodes: of each.
-        films: folder for a film of each; None: no films.
-        runs: as for `score_policy`.
+    `policies` are the folders of their runs, `films` is a folder for a film of each. The rest as for `score_policy`.
     """
     with playing_processes(min(cores(), len(policies))) as pool:
         tasks = [
@@ -272,7 +265,6 @@ def _failures(causes: Mapping[str, int]) -> str:
 
 
 def scores_table(scores: Sequence[PolicyScore]) -> Table:
-    """A row for each policy."""
     columns: Columns[PolicyScore] = {
         "task": lambda one: one.task,
         "success": lambda one: "-" if one.success is None else f"{one.success:.2f} [{one.low:.2f}, {one.high:.2f}]",
@@ -284,11 +276,7 @@ def scores_table(scores: Sequence[PolicyScore]) -> Table:
 
 
 def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
-    """A row for each task, over the arms.
-
-    Args:
-        scores: name and scores of each arm.
-    """
+    """A row for each task, over the arms, of which name and scores are given."""
     return targets_table([(one.task, arm, one.success, one.refused) for arm, of in scores for one in of], "task")
 
 

@@ -62,11 +62,7 @@ class OpenTrial:
         return self._trial.should_prune()
 
     def end(self, runs: Sequence[str] = (), values: Sequence[float] | None = None, error: str | None = None) -> None:
-        """End the trial: complete with its objectives, failed with an error, or pruned without both.
-
-        Args:
-            runs: ids of its runs.
-        """
+        """End the trial of these runs: complete with its objectives, failed with an error, or pruned without both."""
         self._trial.set_user_attr(_RUNS, list(runs))
         if error is not None:
             self._trial.set_user_attr(_ERROR, error)
@@ -75,14 +71,10 @@ class OpenTrial:
 
 
 class Study:
-    """The trials of a sweep, in its journal.
+    """The trials of a sweep, in its journal: a file that is created if it is missing.
 
-    Args:
-        journal: the file; created if missing.
-        sweep: the search.
-        name: of the sweep; trials are called `<name>-t000` and so on.
-        steps: of training, in each run.
-        directions: of the objectives.
+    Trials are called `<name>-t000` and so on. `steps` is the training of each run, `directions` are those of the
+    objectives.
     """
 
     def __init__(self, journal: Path, sweep: Sweep, name: str, steps: int, directions: tuple[Direction, ...]) -> None:
@@ -136,7 +128,6 @@ class Study:
         return _drawn(self._study.ask(), self._sweep)
 
     def front(self) -> tuple[Trial, ...]:
-        """The Pareto front of the objectives."""
         return tuple(self._record(one) for one in self._study.best_trials)
 
     def figures(self) -> dict[str, Any]:

@@ -29,8 +29,6 @@ LONGEST_FOLDER = 100
 
 @dataclass(eq=False)
 class SuiteJob(RunJob):
-    """The runs of one spec of a suite."""
-
     budget: Budget | None = None
     """The budget that its one run shares with the runs of other specs."""
     used: float = 0.0
@@ -56,12 +54,9 @@ class SuiteJob(RunJob):
 
 
 class Budget:
-    """Seconds that jobs with one run each share by their declared steps. Unused seconds go to later runs.
+    """Seconds that jobs with one run each, `at_once` at the same time, share by their declared steps.
 
-    Args:
-        seconds: for `at_once` runs at the same time.
-        at_once: runs at the same time.
-        jobs: all jobs. A job that waits (`wait`) gets its share when it begins (`begin`).
+    A job that waits (`wait`) gets its share when it begins (`begin`). Unused seconds go to later runs.
     """
 
     def __init__(self, seconds: float, at_once: int, jobs: list[SuiteJob]) -> None:
@@ -101,7 +96,6 @@ class Budget:
         return _cut_after(share) if monotonic() > end else None
 
     def end(self, job: SuiteJob) -> None:
-        """A run is over."""
         end, _ = self._active.pop(job, (monotonic(), 0.0))
         self._left += end - monotonic()
 
@@ -111,7 +105,6 @@ def _cut_after(seconds: float) -> str:
 
 
 def _steps(jobs: Iterable[RunJob]) -> int:
-    """The environment steps that some jobs declare."""
     return sum(job.spec.training.steps for job in jobs)
 
 

@@ -62,12 +62,10 @@ class Entry:
 
     @property
     def runs(self) -> tuple[RunRecord, ...]:
-        """The suite's runs."""
         return self.comparison.contenders[-1].runs
 
     @property
     def scores(self) -> Scores:
-        """The scores of the suite's runs."""
         return self.comparison.scores[-1]
 
     @property
@@ -76,7 +74,6 @@ class Entry:
         return self.comparison.scores[0] if len(self.comparison.scores) > 1 else None
 
     def row(self) -> dict[str, Any]:
-        """The entry as JSON values."""
         *other, own = self.comparison.rows()
         return {
             "spec": self.spec.name,
@@ -102,7 +99,6 @@ class SuiteReport:
     entries: tuple[Entry, ...]
     """The specs with a test, in their order."""
     untested: tuple[str, ...]
-    """Names of the others."""
     measures: tuple[str, ...]
     warnings: tuple[str, ...]
     left_out: tuple[str, ...] = ()
@@ -254,7 +250,6 @@ def verdict(report: SuiteReport) -> str:
 
 
 def notes(report: SuiteReport) -> list[str]:
-    """Explanations of the numbers."""
     lines = ["success and measures are those of the last policy in the final test, or in the last test without one"]
     lines.append("steps and time to .95: median over seeds of the first test with that success; (k of n) reached it")
     scores = [one for entry in report.entries for one in (entry.scores, entry.beside) if one is not None]

@@ -53,6 +53,7 @@ from ..records.sweep_records import (
 )
 from ..specification import Spec, load_spec, spec_from_dict, spec_of_trial, to_yaml
 from ..specification.sweep import DEFAULT_TRIALS
+from ..store import Store
 from ..system.files import append_lines, write_json, write_whole, writing
 from .objectives import directions, measure_all, nominal_steps, so_far
 from .plan import Plan
@@ -70,9 +71,7 @@ _FREE_SETTINGS = ("trials", "final")
 class Search(Plan):
     """The sweep of a spec. A trial fails if a run of it fails or its parts do not fit together. Failed trials count.
 
-    Args:
-        spec: a Spec with a sweep, or a dictionary of the same shape as a spec file.
-        trials: number of trials; None: the spec's.
+    The spec may be a dictionary of the same shape as a spec file. `trials` replaces the spec's number of trials.
 
     Raises:
         SpecError: the dictionary is not a valid spec; lists every problem.
@@ -141,7 +140,7 @@ class Search(Plan):
         append_lines(journal, ())  # removes an incomplete last line of a killed process
         self._study = Study(journal, self.sweep, self.name, self.spec.training.steps, self._directions)
         stop = self.driver.stop
-        with self.home.store() as self._store:
+        with Store(self.home.url) as self._store:
             self._write()
             before = self._record
             self.driver.run(self._trials(), 1 if self.jobs is None else self.jobs)
@@ -294,7 +293,6 @@ class Search(Plan):
         write_json(self.folder / DESCRIPTION, record.description())
 
     def _write(self) -> None:
-        """Write the trials, and read the sweep."""
         trials = (json.dumps(one.row(), separators=(",", ":"), allow_nan=False) for one in self._study.trials())
         write_whole(self.folder / TRIALS, "".join(f"{line}\n" for line in trials))
         self._record: SweepRecord = read_sweep(self.folder)[0]
