@@ -54,7 +54,8 @@ def load_player(
 def load_expert(spec: Spec, *, window: bool = False) -> Iterator[Player]:
     """The expert of a spec's task, and one environment without randomization, which is closed after the block.
 
-    Raises UsageError if there is no expert, and as `load_player`.
+    Raises UsageError if there is no expert, MachineError if there is no display for the window, PluginError if a plugin
+    fails in the block.
     """
     with used(environment_of(spec, window=window)) as environment:
         yield Player(spec, environment, expert_policy(environment), None)

@@ -276,6 +276,7 @@ def _compared(runs: Mapping[int, RunFolder], untested: list[str]) -> dict[int, R
 
 
 def _reported(runs: Mapping[int, RunRecord], tree: SeedTree) -> Estimate | None:
+    """Success of the last policies."""
     if not runs:
         return None
     reported = [run.reported("end") for run in runs.values()]

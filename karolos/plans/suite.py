@@ -29,6 +29,8 @@ LONGEST_FOLDER = 100
 
 @dataclass(eq=False)
 class SuiteJob(RunJob):
+    """The runs of one spec of a suite."""
+
     budget: Budget | None = None
     """The budget that its one run shares with the runs of other specs."""
     used: float = 0.0

@@ -42,15 +42,6 @@ def child_processes() -> list[int]:
     return [child for child in children if server is None or child != server.pid]
 
 
-def ancestors(pid: int) -> list[int]:
-    """Parents of a process, the nearest first; none if it has ended."""
-    found, processes = list[int](), living()
-    while pid in processes:
-        pid = processes[pid].parent
-        found.append(pid)
-    return found
-
-
 def holders(locks: Iterable[Path]) -> list[int]:
     """The processes that hold these files locked."""
     inodes = {path.stat().st_ino for path in locks}

@@ -14,16 +14,18 @@ import threading
 import time
 from collections import Counter
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from support.listeners import Heard
+from support.processes import living, wait_for
 from support.states import run_differences
 from support.torture import SEED, TIMES, karolos
 from support.toy_runs import run_of, toy
 
 from karolos.experiment import writer
-from karolos.experiment.events import RunAdvanced, RunWarned
-from karolos.launchers.experiment import Experiment
+from karolos.experiment.events import RunAdvanced
 from karolos.records import RunFolder
 from karolos.store import Store
 
@@ -68,7 +70,8 @@ def count_tests(home: Path) -> int:
 
 def kill_worker(process: subprocess.Popen[bytes], draw: random.Random) -> bool:
     """Kill one of the run's workers, which are grandchildren of its process; False if there is none now."""
-    workers = [pid for pid, (_, parent) in members(process.pid).items() if process.pid not in (pid, parent)]
+    mine = {pid: one.parent for pid, one in living().items() if one.session == process.pid}
+    workers = [pid for pid, parent in mine.items() if process.pid not in (pid, parent)]
     if not workers or process.poll() is not None:
         return False
     with suppress(ProcessLookupError):
@@ -77,24 +80,9 @@ def kill_worker(process: subprocess.Popen[bytes], draw: random.Random) -> bool:
     return False
 
 
-def await_the_end_of_the_others(session: int) -> None:
-    """Raise AssertionError when processes of the session outlive its first for long; only Linux can tell."""
-    deadline = time.monotonic() + PATIENCE
-    while left := members(session):
-        if time.monotonic() > deadline:
-            raise AssertionError(f"orphans after a kill: {left}")
-        time.sleep(0.05)
-
-
-def members(session: int) -> dict[int, tuple[str, int]]:
-    """The living processes of a session, with their command lines and parents."""
-    found = {}
-    for path in Path("/proc").glob("[0-9]*"):
-        with suppress(OSError):  # it has ended meanwhile
-            state, parent, _, its_session = (path / "stat").read_text().rpartition(")")[2].split()[:4]
-            if int(its_session) == session and state != "Z":
-                found[int(path.name)] = (path / "cmdline").read_bytes().replace(b"\0", b" ").decode(), int(parent)
-    return found
+def is_over(session: int) -> bool:
+    """Whether no process of a session is left: none may outlive the killed run for long."""
+    return session not in {one.session for one in living().values()}
 
 
 def run_killed(home: Path, spec: Path, kills: int, draw: random.Random, hit: Counter[str]) -> RunFolder:
@@ -117,7 +105,7 @@ def run_killed(home: Path, spec: Path, kills: int, draw: random.Random, hit: Cou
                 continue
             os.kill(process.pid, signal.SIGKILL)
             process.wait()
-            await_the_end_of_the_others(process.pid)
+            wait_for(partial(is_over, process.pid), PATIENCE)
             hit["runs"] += 1
             break
 
@@ -145,45 +133,34 @@ LEARNS: dict[str, Any] = {
 """Undisturbed it reaches 1.0 within 1500 steps."""
 
 
-class Killer:
-    """A listener that kills one of the run's workers, training's or the tests', every so many steps, amid the work."""
-
-    def __init__(self, interval: int) -> None:
-        self.interval = interval
-        self.next = interval
-        self.killed = 0
-        self.warnings: list[str] = []
-        self._draw = random.Random(0)
-
-    def __call__(self, event: object) -> None:
-        if isinstance(event, RunWarned):
-            self.warnings.append(event.warning)
-        if isinstance(event, RunAdvanced) and event.steps >= self.next:
-            self.next = event.steps + self.interval
-            threading.Timer(self._draw.uniform(0, 0.01), self._kill).start()
-
-    def _kill(self) -> None:
-        workers = [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
-        victim = self._draw.choice(sorted(workers, key=lambda child: child.pid or 0))
-        assert victim.pid
-        os.kill(victim.pid, signal.SIGKILL)
-        self.killed += 1
+def workers() -> list[Any]:
+    return [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
 
 
 def test_an_asynchronous_run_whose_workers_are_killed_reaches_what_an_undisturbed_one_reaches(tmp_path, monkeypatch):
+    """One worker, of training or of the tests, is killed every 350 steps, amid the work."""
     monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)  # it is heard of after each round, however fast it is
-    killer = Killer(interval=350)
-    before = shared_memory()
-    spec = LEARNS | {"training": LEARNS["training"] | {"mode": "async"}}
-    (run,) = Experiment(spec).run(tmp_path, listener=killer).runs
-    assert run.state == "finished"
-    assert killer.killed >= 3
-    assert sum("SIGKILL" in warning for warning in killer.warnings) >= 2
-    folder = RunFolder.open(run.folder)
+    heard, killed, due, draw, before = Heard(), list[int](), [350], random.Random(0), shared_memory()
+
+    def kill() -> None:
+        victim = draw.choice(sorted(workers(), key=lambda child: child.pid))
+        os.kill(victim.pid, signal.SIGKILL)
+        killed.append(victim.pid)
+
+    def listen(event: object) -> None:
+        heard(event)
+        if isinstance(event, RunAdvanced) and event.steps >= due[-1]:
+            due.append(event.steps + 350)
+            threading.Timer(draw.uniform(0, 0.01), kill).start()
+
+    folder = run_of(toy(LEARNS, training={"mode": "async"}), tmp_path, listener=listen)
+    assert folder.state().state == "finished"
+    assert len(killed) >= 3
+    assert sum("SIGKILL" in warning for warning in heard.warnings) >= 2
     assert folder.tests()[-1].success_any >= 0.9
     told = [event for event in folder.events() if event["event"] == "warning"]
-    assert len(told) == len(killer.warnings)
-    assert not [child for child in multiprocessing.active_children() if child.name.startswith("worker")]
+    assert len(told) == len(heard.warnings)
+    assert not workers()
     assert shared_memory() <= before
 
 
