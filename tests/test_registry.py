@@ -9,15 +9,14 @@ from karolos import registry
 from karolos.errors import PluginError, UsageError
 
 
-def test_names_are_listed_with_their_distribution(fake_plugins):
+def test_plugins_are_listed_with_their_distribution_and_loaded_by_name(fake_plugins):
     assert registry.names("robots") == ["arm", "other_arm"]
     assert {entry.distribution for entry in registry.entries("robots")} == {"fakes"}
-
-
-def test_load_gives_the_class_behind_a_name(fake_plugins):
     plugin = registry.load("robots", "arm")
     assert plugin.__name__ == "Arm"
     assert plugin.Settings().step == 0.05
+    with pytest.raises(UsageError, match="did you mean 'robots'"):
+        registry.names("robot")
 
 
 def test_unknown_name_tells_the_closest_and_what_is_installed(fake_plugins):
@@ -27,11 +26,6 @@ def test_unknown_name_tells_the_closest_and_what_is_installed(fake_plugins):
     assert "'amr'" in text
     assert "did you mean 'arm'?" in text
     assert "arm, other_arm" in text
-
-
-def test_unknown_kind_is_refused(fake_plugins):
-    with pytest.raises(UsageError, match="did you mean 'robots'"):
-        registry.names("robot")
 
 
 def test_name_of_two_distributions_is_refused_naming_both(fake_plugins):
@@ -97,17 +91,18 @@ def test_what_a_plugin_prints_while_it_is_imported_does_not_mix_with_results(
 
 
 @pytest.mark.parametrize(
-    ("target", "what"),
+    ("kind", "target", "what"),
     [
-        ("WithoutSettings", "has no settings"),
-        ("not_a_class", "is not a class"),
-        ("WithName", "a setting called 'name'"),
+        ("robots", "WithoutSettings", "has no settings"),
+        ("robots", "not_a_class", "is not a class"),
+        ("robots", "WithName", "a setting called 'name'"),
+        ("distributions", "Abstract", "Abstract is no distribution: it lacks draw; a distribution has draw"),
     ],
 )
-def test_plugin_without_usable_settings_is_refused(fake_plugins, target, what):
-    fake_plugins("robots", "odd", f"support.fake_plugins:{target}")
+def test_plugin_without_usable_settings_or_with_an_abstract_method_is_refused(fake_plugins, kind, target, what):
+    fake_plugins(kind, "odd", f"support.fake_plugins:{target}")
     with pytest.raises(PluginError, match=what):
-        registry.load("robots", "odd")
+        registry.load(kind, "odd")
 
 
 @pytest.mark.parametrize("kind", registry.KINDS)
@@ -120,12 +115,6 @@ def test_plugin_of_a_wrong_interface_is_refused_when_used_naming_what_it_lacks(f
     for name in registry.NEEDED_ATTRIBUTES[kind]:
         assert name in str(caught.value)
     assert caught.value.exit_code == 3
-
-
-def test_plugin_that_leaves_a_method_abstract_is_refused(fake_plugins):
-    fake_plugins("distributions", "abstract", "support.fake_plugins:Abstract")
-    with pytest.raises(PluginError, match="Abstract is no distribution: it lacks draw; a distribution has draw"):
-        registry.load("distributions", "abstract")
 
 
 DISORDER = {

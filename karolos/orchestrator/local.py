@@ -121,16 +121,13 @@ class Local(Orchestrator):
         return [ids[first : first + threads] for first in range(0, len(ids), threads)]
 
     def reset(self, environments: EnvironmentIds, seeds: Sequence[int]) -> None:
-        """Begin an episode in each of these environments, with its seed (0 .. 2**64 - 1). Does not wait."""
+        """As `Orchestrator.reset`, with seeds in 0 .. 2**64 - 1."""
         backend, group = self._running(), Group.of(environments)
         backend.arrays.seed[group.rows] = np.array([operator.index(seed) for seed in seeds], np.uint64)
         self._send(backend, RESET, group, -1)
 
     def step(self, environments: EnvironmentIds, actions: FloatArray, *, updates: int = 0) -> None:
-        """Step each of these environments with its row of `actions` (n, action.size). Does not wait.
-
-        Raises ValueError for another shape, RunError for an action that is not finite.
-        """
+        """As `Orchestrator.step`. Raises ValueError for another shape, RunError for an action that is not finite."""
         backend, group = self._running(), Group.of(environments)
         ids = group.ids
         shape = (ids.size, self._action_size)
@@ -146,10 +143,10 @@ class Local(Orchestrator):
         self._send(backend, STEP, group, updates)
 
     def receive(self, at_least: int | None = None) -> Received:
-        """Wait for all pending commands, or until `at_least` environments have answered or failed.
+        """As `Orchestrator.receive`; empty without pending commands.
 
-        The result is empty without pending commands. The arrays belong to the caller. Raises the error of an
-        environment that failed too often; see the class. A KeyboardInterrupt while waiting closes the orchestrator.
+        Raises the error of an environment that failed too often; see the class. A KeyboardInterrupt while waiting
+        closes the orchestrator.
         """
         backend = self._running()
         failures: list[Failure] = []
@@ -200,20 +197,16 @@ class Local(Orchestrator):
         return Received(ids, step, rows(self._updates), failures)
 
     def parameters(self, environments: EnvironmentIds) -> FloatArray:
-        """The values that domain randomization sampled for the running episodes: (n, signature.parameters.size)."""
         return self._running().arrays.parameters[np.asarray(environments, np.int64)]
 
     def measures(self, environments: EnvironmentIds) -> FloatArray:
-        """The measures of the episodes that these environments ended last: (n, signature.measures)."""
         return self._running().arrays.measures[np.asarray(environments, np.int64)]
 
     def describe(self) -> dict[str, Any]:
-        """The layout, and the number of all environments."""
         settings = self._settings
         return {"processes": settings.processes, "threads": settings.threads, "environments": self.size}
 
     def close(self) -> None:
-        """End the workers and free shared memory; pending commands are lost. Safe to call twice."""
         self._backend = None
         self._close()
         atexit.unregister(self._close)

@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 
 from ..core import Failure, Signature
 from ..errors import KarolosError, MachineError, PluginError, WorkerError
-from .executor import RESET, STEP, Group, Ids
-from .shared_memory import EnvironmentArrays
+from .executor import RESET, STEP, EnvironmentArrays, Group, Ids
 from .worker import DONE, command_message
 
 CLOSE_TIMEOUT, BUSY_TIMEOUT = 3.0, 0.4

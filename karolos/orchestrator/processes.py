@@ -25,8 +25,8 @@ from typing_extensions import override
 from ..core import BuildEnvironment, Signature
 from ..errors import MachineError, PluginError
 from ..system import Poller, SharedMemory, ended_by, process_context
+from .executor import EnvironmentArrays
 from .pool import Channel, Worker, WorkerPool
-from .shared_memory import EnvironmentArrays
 from .worker import work
 
 ONE_THREAD = dict.fromkeys(

@@ -17,11 +17,10 @@ from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
 from ..errors import MachineError
-from .executor import RESET
+from .executor import RESET, EnvironmentArrays
 from .local import Limits, Local
 from .pool import Channel, Worker, WorkerPool
 from .processes import pack_build
-from .shared_memory import EnvironmentArrays
 from .worker import build_environments, environments_in, run_command
 
 CONNECT_TIMEOUT = 10.0

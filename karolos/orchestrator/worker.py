@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from ..errors import KarolosError
 from ..system import STOP_SIGNALS, SharedMemory, lower_priority
-from .executor import FAILURES, Executor, as_karolos_error, pack_errors
-from .shared_memory import EnvironmentArrays
+from .executor import FAILURES, EnvironmentArrays, Executor, as_karolos_error, pack_errors
 
 DONE = b"."
 FAILED = b"!"

@@ -79,7 +79,7 @@ if sys.platform == "win32":
     class _Memory(ctypes.Structure):
         _fields_ = (("length", wintypes.DWORD), ("load", wintypes.DWORD), ("bytes", ctypes.c_uint64 * 7))
 
-    def _try_lock(descriptor: int, *, shared: bool) -> bool:
+    def try_lock(descriptor: int, *, shared: bool = False) -> bool:
         place = _Overlapped(offset_high=0x40000000)  # one byte far beyond the end: others can read the content
         flags = _NOW | (0 if shared else _EXCLUSIVE)
         if _KERNEL.LockFileEx(msvcrt.get_osfhandle(descriptor), flags, 0, 1, 0, ctypes.byref(place)):
@@ -88,7 +88,7 @@ if sys.platform == "win32":
             return False
         raise ctypes.WinError(ctypes.get_last_error())
 
-    def _is_alive(process: int) -> bool:
+    def is_alive(process: int) -> bool:
         try:
             handle = _winapi.OpenProcess(_SYNCHRONIZE, False, process)
         except PermissionError:  # it belongs to another user
@@ -100,7 +100,7 @@ if sys.platform == "win32":
         finally:
             _winapi.CloseHandle(handle)
 
-    def _has_ended(descriptor: int) -> bool:
+    def has_ended(descriptor: int) -> bool:
         try:
             return _winapi.PeekNamedPipe(msvcrt.get_osfhandle(descriptor), 0)[0] != 0
         except BrokenPipeError:
@@ -108,7 +108,7 @@ if sys.platform == "win32":
         except OSError:
             return False
 
-    def _lower_priority(niceness: int) -> None:  # noqa: ARG001
+    def lower_priority(niceness: int) -> None:  # noqa: ARG001
         _KERNEL.SetPriorityClass(_KERNEL.GetCurrentProcess(), _BELOW_NORMAL)
 
     def _memory() -> int:
@@ -119,20 +119,26 @@ if sys.platform == "win32":
     def _share_of(path: Path) -> str | None:
         return "network" if _KERNEL.GetDriveTypeW(path.anchor) == _REMOTE else None
 
-    def _sync(descriptor: int) -> None:
+    def sync(descriptor: int) -> None:
         os.fsync(descriptor)
 
 else:
     import fcntl
 
-    def _try_lock(descriptor: int, *, shared: bool) -> bool:
+    def try_lock(descriptor: int, *, shared: bool = False) -> bool:
+        """Lock an open file without waiting; returns whether it succeeded. The lock ends with the descriptor.
+
+        Raises:
+            OSError: the file system has no locks.
+        """
         try:
             fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
         return True
 
-    def _is_alive(process: int) -> bool:
+    def is_alive(process: int) -> bool:
+        """Whether a process of this machine has this id."""
         try:
             os.kill(process, 0)
         except (ProcessLookupError, OverflowError):
@@ -141,10 +147,12 @@ else:
             pass
         return True
 
-    def _has_ended(descriptor: int) -> bool:
+    def has_ended(descriptor: int) -> bool:
+        """Whether the process at the other end of a pipe has ended, or has sent something. Does not wait."""
         return bool(select.select([descriptor], [], [], 0)[0])
 
-    def _lower_priority(niceness: int) -> None:
+    def lower_priority(niceness: int) -> None:
+        """Lower the priority of this process, as nice(1) does; on Windows by one class of priority."""
         os.nice(niceness)
 
     def _memory() -> int:
@@ -153,27 +161,13 @@ else:
     def _share_of(path: Path) -> str | None:
         return _share_in(path, Path("/proc/self/mounts")) if LINUX else _share_by_statfs(path)
 
-    def _sync(descriptor: int) -> None:
+    def sync(descriptor: int) -> None:
+        """Flush an open file to the disk, so that it survives a power cut."""
         if sys.platform == "darwin":
             with suppress(OSError):  # a file system without it
                 fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)  # also flushes the disk's own cache, which fsync does not
                 return
         os.fsync(descriptor)
-
-
-def is_alive(process: int) -> bool:
-    """Whether a process of this machine has this id."""
-    return _is_alive(process)
-
-
-def has_ended(descriptor: int) -> bool:
-    """Whether the process at the other end of a pipe has ended, or has sent something. Does not wait."""
-    return _has_ended(descriptor)
-
-
-def lower_priority(niceness: int) -> None:
-    """Lower the priority of this process, as nice(1) does; on Windows by one class of priority."""
-    _lower_priority(niceness)
 
 
 def own_group() -> dict[str, Any]:
@@ -305,27 +299,13 @@ RESERVED_NAMES = frozenset(("con prn aux nul " + " ".join(f"com{n} lpt{n}" for n
 """Reserved names on Windows, with any ending."""
 
 
-def try_lock(descriptor: int, *, shared: bool = False) -> bool:
-    """Lock an open file without waiting; returns whether it succeeded. The lock ends with the descriptor.
-
-    Raises:
-        OSError: the file system has no locks.
-    """
-    return _try_lock(descriptor, shared=shared)
-
-
-def sync(descriptor: int) -> None:
-    """Flush an open file to the disk, so that it survives a power cut."""
-    _sync(descriptor)
-
-
 def sync_folder(folder: Path) -> None:
     """Flush the names in a folder to the disk. Windows does so itself."""
     if WINDOWS:
         return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
-        _sync(descriptor)
+        sync(descriptor)
     finally:
         os.close(descriptor)
 

@@ -9,8 +9,6 @@ from karolos.core import Discrete, Field, Layout
 from karolos.environments.action_set import ActionSet, action_index
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
-from karolos.evaluation.playing import load_expert
-from karolos.specification import spec_from_dict
 
 CARTESIAN = Layout((Field("tool_position_change", 3), Field("gripper_opening", 1)))
 X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8
@@ -18,11 +16,6 @@ X_UP, Y_DOWN, OPEN, CLOSE, NOTHING = 0, 3, 6, 7, 8
 
 def discrete(task: str = "reach") -> RobotTask:
     return made(task, environment={"actions": "discrete"})
-
-
-@pytest.fixture
-def picking() -> RobotTask:
-    return discrete("pick_place")
 
 
 def test_labels_name_a_step_along_each_axis_in_both_directions_and_nothing():
@@ -50,7 +43,9 @@ def test_the_opening_stays_as_it_was_asked_for_last():
     assert actions.values(NOTHING) == [0, 0, 0, -0.5]
 
 
-def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(picking):
+def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset():
+    picking = discrete("pick_place")
+
     def away(seed: int) -> float:
         return float(np.linalg.norm(picking.reset(seed).achieved_goal - picking.robot.tool_position))
 
@@ -68,13 +63,23 @@ def test_the_gripper_of_a_robot_closes_stays_closed_and_opens_at_the_next_reset(
     assert picking.robot.opening > 0.9
 
 
-def test_a_discrete_action_is_the_continuous_one_that_it_stands_for():
+def test_a_discrete_action_is_the_continuous_one_that_it_stands_for_in_any_form_it_travels_in():
+    actions = Discrete(("a", "b", "c"))
+    assert [action_index(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
     one, other = discrete(), made("reach")
     one.reset(3)
     other.reset(3)
     for index, values in ((0, [1, 0, 0]), (5, [0, 0, -1]), (6, [0, 0, 0])):
         ours, theirs = one.step(np.float32([index])), other.step(np.float32(values))
         np.testing.assert_array_equal(ours.observation, theirs.observation)
+
+
+def test_gymnasium_has_the_set_as_a_discrete_space_and_experts_are_refused():
+    environment = gymnasium.make("karolos.gym:karolos/PandaPickPlace-v2", actions="discrete")
+    assert environment.action_space == gymnasium.spaces.Discrete(9)
+    told = r"environment\.actions.*discrete ones.*environment\.actions=continuous"
+    with pytest.raises(UsageError, match=told):
+        discrete().expert()
 
 
 @pytest.mark.parametrize("action", [-1, 7, 0.5, np.nan, [0, 1], [0.0, 0.0, 0.0]])
@@ -84,21 +89,3 @@ def test_an_action_that_is_none_of_the_set_is_refused_and_the_episode_goes_on(ac
     with pytest.raises(ValueError, match="PandaReach: an action is a number from 0 to 6"):
         environment.step(np.array(action))
     assert np.isfinite(environment.step(np.array(6)).observation).all()
-
-
-def test_an_index_is_found_in_any_form_it_travels_in():
-    actions = Discrete(("a", "b", "c"))
-    assert [action_index(form, actions, "x") for form in (2, np.int64(2), np.array(2), np.float32([2]))] == [2] * 4
-
-
-def test_gymnasium_has_the_set_as_a_discrete_space():
-    environment = gymnasium.make("karolos.gym:karolos/PandaPickPlace-v2", actions="discrete")
-    assert environment.action_space == gymnasium.spaces.Discrete(9)
-
-
-def test_an_expert_is_refused_where_actions_are_discrete():
-    environment = {"name": "robot_task", "actions": "discrete"}
-    spec = spec_from_dict({"robot": "panda", "task": "reach", "agent": "dqn", "environment": environment})
-    told = r"environment\.actions.*discrete ones.*environment\.actions=continuous"
-    with pytest.raises(UsageError, match=told), load_expert(spec):
-        pass

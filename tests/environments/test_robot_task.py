@@ -117,18 +117,12 @@ def test_randomized_values_are_recorded_applied_and_follow_from_the_seed():
     np.testing.assert_array_equal(first[0], again[0])
     np.testing.assert_array_equal(first[1], again[1])
     assert 0.8 <= first[0][0] <= 1.2
-
-
-def test_parameter_that_nobody_declares_is_refused_with_the_closest():
     with pytest.raises(UsageError, match=r"did you mean 'task.gravity'\?.*robot.link_mass"):
         environment({"task.gravty": normal(-9.81, 1)})
 
 
-def test_a_recipe_may_name_an_environment_without_a_robot():
+def test_a_recipe_has_a_robot_where_its_environment_takes_one():
     assert isinstance(build_environment(Recipe(part("environments", "toy"))), Toy)
-
-
-def test_recipe_without_a_robot_or_with_one_too_many_is_refused():
     with pytest.raises(UsageError, match="no robot is given"):
         build_environment(Recipe(part("environments", "robot_task"), task=part("tasks", "reach")))
     with pytest.raises(UsageError, match="takes no robot"):

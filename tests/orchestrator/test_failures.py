@@ -73,7 +73,18 @@ def test_a_step_that_is_not_finite_ends_the_episode_as_diverged_with_the_state_b
         assert found.diverged.tolist() == found.truncated.tolist() == [True, True, True, False]
         assert found.observation[:, 1].tolist() == [0, 0, 0, 1]
         assert np.isfinite(found.reward).all()
-    with make(layout, "nan") as orchestrator, pytest.raises(PluginError, match=r"Fake\.reset returns numbers"):
+
+
+@every_layout
+@pytest.mark.parametrize(
+    ("recipe", "told"),
+    [
+        ("nan", r"Fake\.reset returns numbers"),
+        ("short", r"Fake returns observation of shape \(1,\), its signature says \(5,\)"),
+    ],
+)
+def test_a_reset_that_breaks_the_signature_is_refused(layout, recipe, told):
+    with make(layout, recipe) as orchestrator, pytest.raises(PluginError, match=told):
         reset(orchestrator)
 
 
@@ -100,16 +111,8 @@ def test_after_a_failure_the_other_answers_arrive_and_a_reset_helps(layout):
         assert received.step.observation[:, 1].tolist() == [1, 1, 1]
         orchestrator.reset([1], [5])
         assert orchestrator.receive().step.observation[0, 1] == 0
-        step(orchestrator, FINE, FINE, FINE, FINE)
-        assert orchestrator.receive().step.observation[:, 1].tolist() == [2, 1, 2, 2]
-
-
-@every_layout
-def test_a_failure_leaves_later_commands_of_the_same_worker_pending(layout):
-    with make(layout) as orchestrator:
-        reset(orchestrator)
         orchestrator.step([0], np.array([[RAISE]], np.float32))
-        orchestrator.step([1], np.array([[SLOW]], np.float32))
+        orchestrator.step([1], np.array([[SLOW]], np.float32))  # a later command of the same worker
         with pytest.raises(WorkerError, match="environment 0"):
             orchestrator.receive()
         received = orchestrator.receive()
@@ -131,22 +134,16 @@ def test_an_environment_that_cannot_be_built_says_why(layout, recipe):
     assert not multiprocessing.active_children()
 
 
-@every_layout
-def test_an_environment_that_breaks_its_signature_is_refused(layout):
-    with make(layout, "short") as orchestrator:
-        orchestrator.reset([0], [0])
-        with pytest.raises(PluginError, match=r"Fake returns observation of shape \(1,\), its signature says \(5,\)"):
-            orchestrator.receive()
-
-
-def test_workers_whose_environments_differ_are_refused():
-    with pytest.raises(PluginError, match="different observations"):
-        make(TWO, build=Fickle)
-
-
-def test_a_worker_that_dies_while_building_is_reported():
-    with pytest.raises(WorkerError, match=r"worker [01]: the worker process ended with exit code 7"):
-        make(TWO, "die")
+@pytest.mark.parametrize(
+    ("recipe", "build", "kind", "told"),
+    [
+        ("", Fickle, PluginError, "different observations"),
+        ("die", Fake, WorkerError, "worker [01]: the worker process ended with exit code 7"),
+    ],
+)
+def test_a_worker_that_dies_while_building_or_builds_something_else_is_reported(recipe, build, kind, told):
+    with pytest.raises(kind, match=told):
+        make(TWO, recipe, build)
 
 
 def test_a_worker_killed_from_outside_is_noticed_while_others_are_busy():
@@ -236,8 +233,10 @@ def reasons(received) -> list[str]:
 
 
 @every_layout
-def test_an_environment_that_raises_loses_its_episode_alone(layout):
-    with make(layout, failures=1) as orchestrator:
+def test_an_environment_that_raises_loses_its_episode_alone_and_is_built_anew_at_its_reset(layout, tmp_path):
+    """Whatever state it was in when it raised."""
+    built = tmp_path / "built"
+    with make(layout, str(built), failures=1) as orchestrator:
         reset(orchestrator)
         step(orchestrator, FINE, RAISE, FINE, COMPLAIN)
         received = orchestrator.receive()
@@ -247,23 +246,11 @@ def test_an_environment_that_raises_loses_its_episode_alone(layout):
         by_environment = {tuple(failure.environment): failure.error for failure in received.failures}
         assert "_fail_deep_inside" in by_environment[(1,)].traceback
         assert isinstance(by_environment[(3,)], PluginError)
+        assert built.read_text().count("built") == 4, "nobody may want it any more"
         orchestrator.reset([1, 3], [8, 9])
         received = orchestrator.receive()
         assert (received.environment.tolist(), received.failed.size) == ([1, 3], 0)
-
-
-@every_layout
-def test_an_environment_that_raised_is_built_anew_at_its_reset(layout, tmp_path):
-    """Whatever state it was in when it raised."""
-    built = tmp_path / "built"
-    with make(layout, str(built), failures=2) as orchestrator:
-        reset(orchestrator)
-        assert built.read_text().count("built") == 4
-        step(orchestrator, FINE, RAISE, FINE, FINE)
-        assert orchestrator.receive().failed.tolist() == [1]
-        assert built.read_text().count("built") == 4, "nobody may want it any more"
-        reset(orchestrator)
-        assert built.read_text().count("built") == 5
+        assert built.read_text().count("built") == 6
 
 
 @pytest.mark.parametrize(("trouble", "name"), [(DIE, "SIGKILL"), (SEGFAULT, "SIGSEGV")])

@@ -40,9 +40,9 @@ def start(folder: Path, body: str, *, first: str = "", **how: bool) -> subproces
     return subprocess.run([sys.executable, script], capture_output=True, text=True, timeout=60, check=False, **how)
 
 
-def run(folder: Path, body: str, *, first: str = "") -> str:
+def run(folder: Path, body: str) -> str:
     """What a program prints. Fails with its standard error."""
-    ended = start(folder, body, first=first)
+    ended = start(folder, body)
     assert ended.returncode == 0, ended.stderr
     return ended.stdout
 
@@ -72,11 +72,21 @@ print("the environment is as it was:", dict(os.environ) == before)
     assert output.splitlines() == ["the script runs", seen, "main is back: True", "the environment is as it was: True"]
 
 
-@pytest.mark.parametrize("first", ["", "import weakref\nweakref.finalize(weakref.finalize, print)\n"])
-def test_a_program_that_never_closes_ends(tmp_path, first):
-    """Also when something else was the first to ask for clean-up at exit; it must not decide the order."""
-    output = run(tmp_path, "orchestrator = make()\nprint(*pids(orchestrator))", first=first)
-    wait_until_gone(*map(int, output.split()))
+@pytest.mark.parametrize(
+    ("first", "last", "error"),
+    [
+        ("", "", ""),
+        # something else is the first to ask for clean-up at exit; it must not decide the order
+        ("import weakref\nweakref.finalize(weakref.finalize, print)\n", "", ""),
+        ("", "raise LookupError('mine')", "LookupError: mine"),
+    ],
+)
+def test_a_program_that_never_closes_leaves_no_worker_and_shows_its_own_error_alone(tmp_path, first, last, error):
+    ended = start(tmp_path, f"orchestrator = make()\nprint(*pids(orchestrator), flush=True)\n{last}", first=first)
+    assert ended.returncode == bool(error)
+    assert ended.stderr.strip().endswith(error)
+    assert ended.stderr.count("Traceback") == bool(error)
+    wait_until_gone(*map(int, ended.stdout.split()))
 
 
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="reads what is mapped from /proc")
@@ -92,14 +102,6 @@ with make() as orchestrator:
 """,
     )
     assert output.splitlines() == ["1 0 0"] * 3
-
-
-def test_a_program_that_fails_shows_its_own_error_and_leaves_no_worker(tmp_path):
-    body = "orchestrator = make()\nprint(*pids(orchestrator), flush=True)\nraise LookupError('mine')"
-    ended = start(tmp_path, body)
-    assert ended.stderr.strip().endswith("LookupError: mine")
-    assert ended.stderr.count("Traceback") == 1
-    wait_until_gone(*map(int, ended.stdout.split()))
 
 
 @pytest.mark.parametrize("trouble", ["FINE", "HANG"])

@@ -34,18 +34,20 @@ def assert_same(own: Any, peer: Any, where: str = "") -> None:
             assert_same(one, other, where)
     else:
         assert own.dtype == peer.dtype, where
-        np.testing.assert_allclose(own, peer, atol=1e-5, err_msg=where)
+        exact = own.dtype == np.float32  # rewards are computed as float64 there
+        np.testing.assert_allclose(own, peer, rtol=0 if exact else 1e-7, atol=0 if exact else 1e-5, err_msg=where)
 
 
 @pytest.mark.parametrize("mode", [mode.value for mode in AutoresetMode])
 @pytest.mark.parametrize(
-    ("name", "processes", "settings"),
+    ("name", "settings"),
     [
-        ("PandaPush-v2", 2, {"max_steps": 3, "force_penalty": FORCES, "randomization": DRAWN}),
-        ("PandaPickPlace-v2", 0, {"max_steps": 2, "actions": "discrete"}),
+        ("PandaPush-v2", {"max_steps": 3, "force_penalty": FORCES, "randomization": DRAWN}),
+        ("PandaPickPlace-v2", {"max_steps": 2, "actions": "discrete"}),
     ],
 )
-def test_every_answer_is_that_of_gymnasiums_own(mode, name, processes, settings):
+def test_every_answer_is_that_of_gymnasiums_own(mode, name, settings):
+    processes = 2 if (mode, name) == ("SameStep", "PandaPush-v2") else 0  # which no mode knows of
     own = envs(name, processes=processes, autoreset_mode=mode, **settings)
     peer = envs(name, vectorization_mode="sync", vector_kwargs={"autoreset_mode": mode}, **settings)
     assert (own.observation_space, own.action_space) == (peer.observation_space, peer.action_space)

@@ -61,6 +61,12 @@ class Straying(Point):
         return self.observe(), {}
 
 
+class Pictures(gymnasium.Env):
+    observation_space = Box(0, 255, (8, 8), np.uint8)
+    action_space = gymnasium.spaces.Discrete(2)
+
+
+gymnasium.register("Pictures-v0", Pictures, max_episode_steps=3)
 gymnasium.register("Point-v0", Point, max_episode_steps=20)
 gymnasium.register("Ending-v0", Ending, max_episode_steps=20)
 gymnasium.register("Endless-v0", Point)

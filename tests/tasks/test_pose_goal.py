@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from support.rig import made, part
 
-from karolos.errors import UsageError
 from karolos.simulation.geometry import (
     Orientations,
     angles,
@@ -75,14 +74,6 @@ def test_symmetries_and_an_axis_leave_turns_without_effect():
     both = PoseGoal(0.01, 0.1, dense=True, span=1.0, axis=(0.0, 0.0, 1.0), symmetries=[(1.0, 0.0, 0.0, 0.0)])
     assert around.angle(reversed_, goal) == pytest.approx(pi, abs=1e-3)
     assert both.angle(reversed_, goal) == pytest.approx(0, abs=1e-3)
-
-
-def test_cartesian_actions_and_springs_of_pybullet_are_refused():
-    for task in ("reach_pose", "reorient"):
-        with pytest.raises(UsageError, match=r"robot.control: these actions do not turn the tool"):
-            made(task, arm={"control": "cartesian"})
-    with pytest.raises(UsageError, match=r"robot.control: the engine bullet has no impedance control"):
-        made("reach_pose", arm={"control": "impedance"}, environment={"engine": "bullet"})
 
 
 @pytest.mark.parametrize("control", ["pose", "impedance"])

@@ -2,8 +2,6 @@ import numpy as np
 import pytest
 from support.rig import made
 
-from karolos.errors import UsageError
-
 
 @pytest.mark.parametrize(("goals", "edges"), [("box", (0.3, 0.3, 0.3)), ("workspace", (0.4, 0.5, 0.385))])
 def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals, edges):
@@ -14,11 +12,6 @@ def test_goals_fill_their_box_in_the_middle_of_the_workspace(goals, edges):
         low, high = centre[axis] - edge / 2, centre[axis] + edge / 2
         assert low - 1e-6 <= drawn[:, axis].min() < low + 0.05 * edge
         assert high - 0.05 * edge < drawn[:, axis].max() <= high + 1e-6
-
-
-def test_threshold_that_leaves_no_goal_is_refused():
-    with pytest.raises(UsageError, match=r"task.threshold: 0.3 m leaves no goal"):
-        made("reach", threshold=0.3)
 
 
 def test_marker_stands_at_the_goal():
