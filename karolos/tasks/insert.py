@@ -67,6 +67,8 @@ class Insertion(PointGoal):
         turn: largest angle of the turn, in rad.
     """
 
+    place = slice(3)
+
     def __init__(self, tolerance: float, aside: float, turn: float) -> None:
         super().__init__(tolerance, dense=False, span=1.0)
         self.aside, self.turn = aside, turn
@@ -77,9 +79,6 @@ class Insertion(PointGoal):
         there = (off[..., 2] < self.threshold) & (aside < self.aside) & (turn < self.turn**2)
         whole: BoolArray = there & (achieved[..., 6] == 0)
         return whole
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        return super().distance(achieved[..., :3], desired[..., :3])
 
 
 class Insert(Task):

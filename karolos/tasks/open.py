@@ -44,12 +44,11 @@ class JointGoal(PointGoal):
     `achieved` and `desired` (..., 4): the position of the joint and that of the handle (3, m), which follows from it.
     """
 
+    place = slice(1, None)
+
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         near: BoolArray = np.abs(achieved[..., 0] - desired[..., 0]) < self.threshold
         return near
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        return super().distance(achieved[..., 1:], desired[..., 1:])
 
 
 class HingeGoal(JointGoal):

@@ -7,7 +7,7 @@ from typing import Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout
+from ..core import Array, Expert, Field, FloatArray, Generator, Layout
 from ..core.parameters import Probability
 from ..simulation.interface import Box, Cup, RobotView
 from .cube import Carrier, CarryTask, CubeSettings, check_gripper, ground
@@ -36,6 +36,8 @@ class StagedPick(PointGoal):
         rest: height in m of the centre of an object on the floor.
     """
 
+    place = slice(3)
+
     def __init__(self, threshold: float, *, rest: float) -> None:
         super().__init__(threshold, dense=True, span=1.0)
         self.rest = rest
@@ -50,12 +52,6 @@ class StagedPick(PointGoal):
         lift = np.where(height < self.threshold, 1.0, raised)
         staged = (reach + pads + lift + transport) / 4 - 1
         return np.where(self.success(achieved, desired), 0.0, np.clip(staged, -1, 0)).astype(np.float32)
-
-    def success(self, achieved: Array, desired: Array) -> BoolArray:
-        return super().success(achieved[..., :3], desired)
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        return super().distance(achieved[..., :3], desired)
 
 
 class PickPlace(PointGoalTask, CarryTask):

@@ -28,6 +28,9 @@ class PointGoal(GoalRule):
         span: the largest possible distance in m; it bounds the dense reward.
     """
 
+    place = slice(None)
+    """Columns of both goals with the position."""
+
     def __init__(self, threshold: float, *, dense: bool, span: float) -> None:
         self.threshold = threshold
         self.dense = dense
@@ -40,12 +43,12 @@ class PointGoal(GoalRule):
         return -np.asarray(~self.success(achieved, desired), np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        difference = achieved - desired
+        difference = achieved[..., self.place] - desired[..., self.place]
         near: BoolArray = np.vecdot(difference, difference) < self._squared
         return near
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        difference = achieved - desired
+        difference = achieved[..., self.place] - desired[..., self.place]
         metres: FloatArray = np.sqrt(np.vecdot(difference, difference), dtype=np.float32)
         return metres
 

@@ -60,6 +60,8 @@ class PoseGoal(PointGoal):
             compared. If a symmetry reverses it, both directions are the same.
     """
 
+    place = slice(3)
+
     def __init__(
         self,
         threshold: float,
@@ -87,9 +89,6 @@ class PoseGoal(PointGoal):
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         near = self.distance(achieved, desired) < self.threshold
         return np.asarray(near & (self.angle(achieved, desired) < self.angle_threshold))
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        return super().distance(achieved[..., :3], desired[..., :3])
 
     def angle(self, achieved: Array, desired: Array) -> FloatArray:
         first, second = achieved[..., 3:], desired[..., 3:]

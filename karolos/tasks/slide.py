@@ -48,6 +48,8 @@ class Rest(PointGoal):
     the last touch. Without a slope policies stop at the edge, which they reach first.
     """
 
+    place = slice(2)
+
     def __init__(self, threshold: float, *, dense: bool, span: float, reward_share: float, slope: float = 0) -> None:
         super().__init__(threshold, dense=dense, span=span)
         self._near, self._slope = reward_share * threshold, slope
@@ -61,9 +63,6 @@ class Rest(PointGoal):
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         return (achieved[..., 2] > 0) & (self.distance(achieved, desired) < self.threshold)
-
-    def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        return super().distance(achieved[..., :2], desired)
 
 
 class Puck(Cube):

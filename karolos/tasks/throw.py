@@ -8,13 +8,13 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, GoalRule, Layout, Measure
+from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure
 from ..core.parameters import Drawn, Probability
 from ..errors import UsageError
 from ..simulation.geometry import Vector, axes
 from ..simulation.interface import GRAVITY, Box, Camera, RobotView, Stroke, World
 from .cube import FIELDS, CubeSettings, CubeTask, check_gripper, check_pads
-from .point_goal import GOAL_COLOUR, sample_position
+from .point_goal import GOAL_COLOUR, PointGoal, sample_position
 from .throw_planner import FLIGHT_STEPS, RUN_UP, Flight, ThrowPlanner, flight_time
 
 FLOOR_CONTACT = 0.002
@@ -24,7 +24,7 @@ BOUNCE_HEIGHT = 0.08
 """Largest height in m of a corner of the cube above the floor, a control step after a landing."""
 
 
-class Landing(GoalRule):
+class Landing(PointGoal):
     """Success if a thrown object lands nearer than `threshold` to the target, in m. Landing ends the episode.
 
     `achieved` (..., 3) is the object's position on the floor (2) in m and a status: 0 in the hand or in the air, 1
@@ -36,16 +36,15 @@ class Landing(GoalRule):
     costs `failure_cost`. A miss also gives 0, so only this cost keeps a policy off the floor.
     """
 
+    place = slice(2)
+
     def __init__(self, threshold: float, *, dense: bool, failure_cost: float) -> None:
-        self.threshold = threshold
-        self.dense = dense
+        super().__init__(threshold, dense=dense, span=1.0)
         self.failure_cost = failure_cost
         self.reward_range = (-failure_cost, 1.0)
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        difference = achieved[..., :2] - desired
-        metres = np.sqrt(np.vecdot(difference, difference))
-        return np.where(achieved[..., 2] > 0.5, metres, np.inf).astype(np.float32)
+        return np.where(achieved[..., 2] > 0.5, super().distance(achieved, desired), np.inf).astype(np.float32)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         near = 1 - np.tanh(2 * self.distance(achieved, desired)) if self.dense else self.success(achieved, desired)

@@ -62,15 +62,14 @@ def test_a_heavier_cube_needs_as_much_more_torque_as_its_weight_and_distance():
     assert abs(heavy - light) == pytest.approx(0.5 * -GRAVITY * distance, rel=0.25)
 
 
-@pytest.mark.parametrize("task", ["pick_place", "push"])
-def test_what_one_episode_drew_does_not_reach_the_next(task):
+def test_what_one_episode_drew_does_not_reach_the_next():
     draws = {
         "task.object_mass": part("distributions", "log_uniform", low=0.02, high=1.0),
         "task.object_friction": part("distributions", "uniform", low=0.1, high=2.0),
         "task.floor_friction": part("distributions", "uniform", low=0.1, high=1.0),
         "robot.link_mass": part("distributions", "uniform", low=0.8, high=1.2),
     }
-    used, fresh = made(task, draws=draws), made(task, draws=draws)
+    used, fresh = made("pick_place", draws=draws), made("pick_place", draws=draws)
     drawn = []
     for seed in range(3):
         expert_episode(used, seed)
