@@ -142,28 +142,21 @@ def test_hindsight_relabels_the_goals_of_anybodys_environment(settings):
         environments=1,
         discount=0.9,
     )
-    reached: dict[bytes, tuple[Any, bool]] = {}
+    reached: dict[bytes, Any] = {}
     generator = np.random.default_rng(0)
     for seed in range(5):
         step = environment.reset(seed)
         while not (step.terminated or step.truncated):
             action = generator.uniform(-1, 1, signature.action.size).astype(np.float32)
             before, step = step, environment.step(action)
-            reached[step.observation.tobytes()] = (step.achieved_goal, step.success)
-            columns = {
-                "environment": np.array([0]),
-                **{name: getattr(before, name)[None] for name in ("observation", "achieved_goal", "desired_goal")},
-                "action": action[None],
-                "next_observation": step.observation[None],
-                "next_achieved_goal": step.achieved_goal[None],
-                **{name: np.array([getattr(step, name)]) for name in ("reward", "terminated", "truncated")},
-            }
-            buffer.add(Transitions(**{name: columns[name] for name in Transitions._fields if name in columns}))
+            reached[step.observation.tobytes()] = step.achieved_goal
+            values = (0, *before[:3], action, step.reward, *step[:2], step.terminated, step.truncated)
+            buffer.add(Transitions(*(np.array(value)[None] for value in values)))
     batch = buffer.sample(256)
     unwrapped = environment._env.unwrapped
     for index in range(256):
         goal, reward = batch.desired_goal[index], batch.reward[index]
-        achieved = reached[batch.next_observation[index].tobytes()][0]
+        achieved = reached[batch.next_observation[index].tobytes()]
         assert reward == pytest.approx(unwrapped.compute_reward(achieved, goal, {}), abs=1e-6)
         near = np.linalg.norm(achieved - goal) < 0.15
         ends = settings["id"] == ENDING or settings.get("goal_terminates", False)
