@@ -67,16 +67,8 @@ class Bundle:
         Raises BundleError if an observation or action is not the recorded one.
         """
         logged, observer = self.episode(), Observer({**self.contract, "wrench": {"filter": 0.0}})  # logged after it
-        for step, time in enumerate(logged["time"]):
-            measured = {name: logged[f"measured_{name}"][step] for name in observer.measured}
-            reading = Reading(
-                float(time),
-                logged["positions"][step],
-                logged["velocities"][step],
-                logged["wrench"][step],
-                float(logged["opening"][step]),
-                measured,
-            )
+        for step in range(len(logged["time"])):
+            reading = Reading.logged(logged, step)
             observer.feel(reading)
             observer.overloaded = bool(logged["overloaded"][step])
             observation = observer(reading, self.chain.at(reading.positions), logged["set_point"][step])

@@ -230,18 +230,7 @@ class Replay(Driver):
             raise EOFError
 
     def read(self) -> Reading | None:
-        row = {name: values[self._row] for name, values in self.columns.items()}
-        measured = {
-            name.removeprefix("measured_"): value for name, value in row.items() if name.startswith("measured_")
-        }
-        return Reading(
-            float(row["time"][0]),
-            row["positions"],
-            row["velocities"],
-            row["wrench"],
-            float(row["opening"][0]),
-            measured,
-        )
+        return Reading.logged(self.columns, self._row)
 
     def send(self, point: SetPoint) -> None:
         sent = self.columns["set_point"][self._row]

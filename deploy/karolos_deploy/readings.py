@@ -36,6 +36,16 @@ class Reading:
     state: str = RUNNING
     """State of the robot: RUNNING, or why it does not move, such as "protective stop"."""
 
+    @classmethod
+    def logged(cls, columns: Mapping[str, Array], row: int) -> Reading:
+        """The reading in a row of a log or of a bundle's episode, whose columns `measured_...` are measured fields."""
+        found = {name: values[row] for name, values in columns.items()}
+        measured = {
+            name.removeprefix("measured_"): values for name, values in found.items() if name.startswith("measured_")
+        }
+        time, opening = (float(np.ravel(found[name])[0]) for name in ("time", "opening"))
+        return cls(time, found["positions"], found["velocities"], found["wrench"], opening, measured)
+
 
 @dataclass(frozen=True)
 class SetPoint:

@@ -75,13 +75,9 @@ class ActorCriticSettings(OptimiserSettings):
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
     @model_validator(mode="after")
-    def _cloning_imitates(self) -> Any:
+    def _settings_fit(self) -> Any:
         if self.cloning and not self.imitation:
             raise ValueError("cloning needs imitation above 0: this is the weight of the demonstrated actions")
-        return self
-
-    @model_validator(mode="after")
-    def _joints_have_units(self) -> Any:
         if self.per_joint and len(self.hidden) < 2:
             raise ValueError("per_joint needs two numbers in hidden: units for each joint, then units for all")
         return self
@@ -188,12 +184,11 @@ class ActorCritic(TorchAgent):
             what, hint = "observations and actions do not describe joints", "set robot.joint_slots, or per_joint: false"
             raise UsageError(what, setting="agent.per_joint", hint=hint)
         # of each joint the mean of its actions and, in SAC, the deviation
-        each = [
-            [part * self.actions + column for part in range(self.policy_columns) for column in row] for row in moved
-        ]
-        policy_shape = JointShape(sizes, joints=_frozen(seen), each=_frozen(each))
-        both = [[*row, *(before + column for column in action)] for row, action in zip(seen, moved, strict=True)]
-        critic_shape = JointShape(critic_sizes, joints=_frozen(both), each=((),) * len(seen), **more)
+        parts = range(self.policy_columns)
+        each = tuple(tuple(part * self.actions + column for part in parts for column in row) for row in moved)
+        policy_shape = JointShape(sizes, joints=seen, each=each)
+        both = tuple(row + tuple(before + column for column in own) for row, own in zip(seen, moved, strict=True))
+        critic_shape = JointShape(critic_sizes, joints=both, each=((),) * len(seen), **more)
         return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
@@ -321,10 +316,6 @@ class ActorCritic(TorchAgent):
     def deployed(self) -> Deployed:
         """The mean of the policy, squashed by tanh."""
         return self.policy_arrays(self.average, "tanh", slice(self.actions))
-
-
-def _frozen(table: list[list[int]]) -> tuple[tuple[int, ...], ...]:
-    return tuple(map(tuple, table))
 
 
 def imitation_loss(action: Tensor, preferred: Tensor, batch: TensorBatch) -> tuple[Tensor, Tensor]:

@@ -186,8 +186,3 @@ def tensor_batch(
         weight=tensor(batch.weight / np.float32(count)),
         demonstrated=None if batch.demonstrated is None else tensor(batch.demonstrated),
     )
-
-
-def to_array(tensor: Tensor) -> FloatArray:
-    array: FloatArray = tensor.cpu().numpy()
-    return array

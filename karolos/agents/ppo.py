@@ -18,8 +18,8 @@ from torch import Tensor
 
 from ..core import Buffer, Deployed, Discrete, FloatArray, Rollout, SeedTree, Signature, State
 from ..errors import UsageError
-from .inputs import Normaliser, to_array
-from .networks import MLP, NetworkShape
+from .inputs import Normaliser
+from .networks import MLP, NetworkShape, array_of
 from .optimisation import learning_rates, saturation
 from .squashed_gaussian import LOG_STD_BOUNDS
 from .torch_agent import Hidden, OptimiserSettings, TorchAgent
@@ -189,7 +189,7 @@ class PPO(TorchAgent[Rollout]):
         inputs = self.network_input(rollout.observation, rollout.desired_goal)
         next_inputs = self.network_input(rollout.next_observation, rollout.desired_goal)
         values, next_values = (
-            to_array(self.value(rows)).reshape(rollout.reward.shape) for rows in (inputs, next_inputs)
+            array_of(self.value(rows)).reshape(rollout.reward.shape) for rows in (inputs, next_inputs)
         )
         discount, trace_decay = self.settings.discount, self.settings.trace_decay
         estimated = advantages(rollout, values, next_values, discount=discount, trace_decay=trace_decay)
@@ -243,24 +243,6 @@ def advantages(
     for step in reversed(range(len(estimates))):
         following = estimates[step] = error[step] + decay[step] * following
     return estimates
-
-
-def value_loss(value: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> tuple[Tensor, Tensor]:
-    """L = mean max((V - y)^2, (V_c - y)^2) / 2 with V_c = V_old + clip(V - V_old, -clip, clip), and its gradient by V.
-
-    Without `clip`: mean (V - y)^2 / 2. The clipped error is the larger one only where V_c is constant. Source:
-    Schulman et al. 2017, equation 9; the clipping is that of OpenAI baselines, ppo2.
-    """
-    gradient = value - target
-    error = gradient.square()
-    if clip is not None:
-        change = value - old_value
-        # Within the range V_c is V itself: old_value + change often differs from it in the last digit.
-        near = torch.where(change.abs() <= clip, value, old_value + change.clamp(-clip, clip))
-        clipped = (near - target).square()
-        gradient = gradient * (error >= clipped)
-        error = torch.maximum(error, clipped)
-    return 0.5 * error.mean(), gradient / len(value)
 
 
 class Gaussian:
@@ -396,12 +378,33 @@ class Value:
         bias.mul_(spread).add_(mean - new_mean).div_(new_spread)
 
     def backward(self, inputs: Tensor, target: Tensor, old_value: Tensor, clip: float | None) -> Tensor:
-        """`value_loss` of inputs (n, i), in units of the returns' standard deviation; leaves the network's gradient."""
+        """L = mean max((V - y)^2, (V_c - y)^2) / 2 with V_c = V_old + clip(V - V_old, -clip, clip).
+
+        Values and targets are in units of the returns' standard deviation. Without `clip`: mean (V - y)^2 / 2. It
+        leaves the network's gradient. Source: Schulman et al. 2017, equation 9; the clipping is that of OpenAI
+        baselines, ppo2.
+
+        Args:
+            inputs: (n, i).
+            target: y, (n,).
+            old_value: V_old, (n,).
+            clip: largest change of a value; None: unlimited.
+        """
         mean, spread = self._scale()
         output, tapes = self.network.forward(inputs)
-        loss, gradient = value_loss(output.squeeze(-1), (target - mean) / spread, (old_value - mean) / spread, clip)
-        self.network.backward(gradient.unsqueeze(-1), tapes)
-        return loss
+        value, target = output.squeeze(-1), (target - mean) / spread
+        gradient = value - target
+        error = gradient.square()
+        if clip is not None:
+            old_value = (old_value - mean) / spread
+            change = value - old_value
+            # Within the range V_c is V itself: old_value + change often differs from it in the last digit.
+            near = torch.where(change.abs() <= clip, value, old_value + change.clamp(-clip, clip))
+            clipped = (near - target).square()
+            gradient = gradient * (error >= clipped)  # V_c is constant where its error is the larger one
+            error = torch.maximum(error, clipped)
+        self.network.backward((gradient / len(value)).unsqueeze(-1), tapes)
+        return 0.5 * error.mean()
 
     def state(self) -> State:
         return {"network": self.network.state(), "returns": self._returns.state()}

@@ -31,23 +31,22 @@ from ..core import (
 )
 from ..core.schedules import Linear
 from ..errors import UsageError
-from .inputs import INPUT_CLIP, NONE_MISSING, Normaliser, TensorBatch, tensor_batch, to_array
+from .inputs import INPUT_CLIP, NONE_MISSING, Normaliser, TensorBatch, tensor_batch
 from .layers import LAYER_NORM_EPSILON
-from .networks import MLP
+from .networks import MLP, array_of
 from .optimisation import Adam
 
 Hidden = Annotated[tuple[Annotated[int, Setting(ge=1, le=65_536)], ...], Setting(min_length=1, max_length=32)]
 """Units of each hidden layer."""
 
 
-def joint_columns(layout: Layout | Discrete) -> list[list[int]]:
+def joint_columns(layout: Layout | Discrete) -> tuple[tuple[int, ...], ...]:
     """For each joint that the layout describes its columns; empty if it describes none."""
     if isinstance(layout, Discrete):
-        return []
+        return ()
     columns, fields = np.arange(layout.size), [field for field in layout.fields if field.joints]
     tables = [columns[layout.slice(field.name)].reshape(field.joints, -1) for field in fields]
-    rows: list[list[int]] = np.concatenate(tables, 1).tolist() if tables else []
-    return rows
+    return tuple(map(tuple, np.concatenate(tables, 1).tolist())) if tables else ()
 
 
 class OptimiserSettings(AgentSettings):
@@ -142,7 +141,8 @@ class TorchAgent(Agent[Experience]):
         environments: NDArray[int64] | None = None,
     ) -> FloatArray:
         inputs = self.network_input(observation, desired_goal)
-        return to_array(self.explore(inputs, environments) if explore else self.best(inputs))
+        action: FloatArray = (self.explore(inputs, environments) if explore else self.best(inputs)).cpu().numpy()
+        return action
 
     @abstractmethod
     def explore(self, inputs: Tensor, environments: NDArray[int64] | None) -> Tensor:
@@ -187,7 +187,7 @@ class TorchAgent(Agent[Experience]):
         """
         layers, joints = network.arrays(columns)
         statistics = self.normaliser.shift, self.normaliser.scale
-        shift, scale = (to_array(part[: self.inputs]).copy() for part in statistics)
+        shift, scale = (array_of(part[: self.inputs]) for part in statistics)
         epsilon = LAYER_NORM_EPSILON if network.shape.layer_norm else None
         missing = np.array(self.missing, np.int64)
         return Deployed(shift, scale, self.normaliser.clip, tuple(layers), output, epsilon, missing, joints)

@@ -33,11 +33,6 @@ SIGNS: Mapping[Kind, tuple[int, ...]] = {
 A rotation R becomes M R M with M = diag(1, -1, 1): the rotation of the mirrored object, with its own y axis reversed.
 For a symmetric object this is the same object.
 """
-AXES: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()} | {"point": (1, 2, 3)}
-"""1, 2 or 3 where a column is an x, y or z of a place, else 0."""
-STARTS: Mapping[Kind, tuple[int, ...]] = {kind: (0,) * len(signs) for kind, signs in SIGNS.items()}
-STARTS = {**STARTS, "rotation": (1, 0, 0, 0, 0, 0)}
-"""1 where a rotation begins, else 0."""
 
 
 class Augmentation:
@@ -90,12 +85,18 @@ class Augmentation:
         }
         columns = transition_layout(signature)
         self._signs, self._axes = np.ones(columns.size, np.float32), np.zeros(columns.size, np.int64)
-        starts = np.zeros(columns.size, np.int64)
+        """Factors in a mirror; 1, 2 or 3 where a column is an x, y or z of a place, else 0."""
+        rotations = list[int]()
         for name, layout in changed.items():
-            self._signs[columns.slice(name)] = _columns(layout, SIGNS)
-            self._axes[columns.slice(name)] = _columns(layout, AXES)
-            starts[columns.slice(name)] = _columns(layout, STARTS)
-        self._rotations = np.flatnonzero(starts)
+            column = columns.slice(name).start
+            for kind, sign, place in _columns(layout):
+                self._signs[column] = sign
+                self._axes[column] = place + 1 if kind == "point" else 0
+                if kind == "rotation" and place == 0:
+                    rotations.append(column)
+                column += 1
+        self._rotations = np.array(rotations, np.int64)
+        """Where rotations begin."""
 
     def apply(self, stored: StoredTransitions, generator: np.random.Generator) -> None:
         """Mirror half of the transitions and move all, each on its own. Columns only for hindsight do not change."""
@@ -139,9 +140,9 @@ def _twist(table: Any, angles: Any, rotations: Any) -> None:
                 table[row, column + 3] = k * y - s * x
 
 
-def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[int]:
-    """The numbers of the kinds of all columns of a layout."""
-    columns = list[int]()
+def _columns(layout: Layout) -> list[tuple[Kind, int, int]]:
+    """Kind, factor in a mirror, and place within its kind, of each column of a layout."""
+    columns = list[tuple[Kind, int, int]]()
     for field in layout.fields:
         if field.kind is None:
             raise UsageError(
@@ -150,7 +151,7 @@ def _columns(layout: Layout, numbers: Mapping[Kind, tuple[int, ...]]) -> list[in
                 hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
             )
         kinds = field.kind if isinstance(field.kind, tuple) else (field.kind,) * field.size
-        found = [number for kind in kinds for number in numbers[kind]][: field.size]
+        found = [(kind, sign, place) for kind in kinds for place, sign in enumerate(SIGNS[kind])][: field.size]
         if len(found) < field.size:
             raise PluginError(f"{field.name} has {field.size} columns, its kinds have {len(found)}", setting="task")
         columns += found

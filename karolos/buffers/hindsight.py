@@ -89,10 +89,7 @@ class Hindsight:
                 hint="let achieved_goal begin with the columns of desired_goal",
             )
         self.settings = settings
-        self._rule = signature.goal_rule
-        self._extra = signature.extra_reward
-        self._goal_terminates = type(signature.goal_rule).terminated is not GoalRule.terminated
-        """Whether reaching a goal can terminate an episode."""
+        self._signature, self._rule = signature, signature.goal_rule
         self._size = signature.desired_goal.size
         self._checked = 0
 
@@ -107,7 +104,7 @@ class Hindsight:
         self._checked += transitions.environment.size
         achieved, desired = transitions.next_achieved_goal, transitions.desired_goal
         reward, expected = np.asarray(transitions.reward), self._rule.reward(achieved, desired)
-        low, high = self._extra
+        low, high = self._signature.extra_reward
         wrong = np.flatnonzero(~np.isclose(reward, np.clip(reward, expected + low, expected + high), 1e-4, 1e-5))
         if wrong.size:
             raise PluginError(
@@ -161,23 +158,30 @@ class Hindsight:
             goals = np.concatenate((goals, desired[generator.integers(slots.size, size=others.size)]))
             chosen = np.concatenate((chosen, others))
         achieved = stored["next_achieved_goal"].take(chosen, axis=0)
-        if self._goal_terminates:
-            # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
-            other_cause = (terminated[chosen] > 0) & ~self._rule.terminated(achieved, desired[chosen])
-            terminated[chosen] = other_cause | self._rule.terminated(achieved, goals)
-        stored["reward"][chosen] = relabelled_reward(
-            self._rule, achieved, desired[chosen], goals, stored["reward"][chosen], self._extra
+        stored["reward"][chosen], terminated[chosen] = under_new_goals(
+            self._signature, achieved, desired[chosen], goals, stored["reward"][chosen], terminated[chosen]
         )
         desired[chosen] = goals
         return chosen
 
 
-def relabelled_reward(
-    rule: GoalRule, achieved: Array, old: Array, new: Array, stored: Array, extra: tuple[float, float]
-) -> FloatArray:
-    """The reward (n,) under new goals. The part of the stored reward that the rule does not give stays the same."""
-    reward: FloatArray = rule.reward(achieved, new)
-    return reward if extra == (0.0, 0.0) else np.add(reward, stored - rule.reward(achieved, old), dtype=np.float32)
+def under_new_goals(
+    signature: Signature, achieved: FloatArray, old: FloatArray, new: FloatArray, reward: FloatArray, terminated: Array
+) -> tuple[FloatArray, Array]:
+    """Reward and `terminated` (n,) of transitions whose goals change from `old` to `new`.
+
+    The part of the reward that the rule does not give stays the same. So does a termination that the old goal does not
+    explain, e.g. a fall.
+    """
+    rule = signature.goal_rule
+    assert rule is not None
+    changed: FloatArray = rule.reward(achieved, new)
+    if signature.extra_reward != (0.0, 0.0):
+        changed = np.add(changed, reward - rule.reward(achieved, old), dtype=np.float32)
+    if type(rule).terminated is not GoalRule.terminated:  # otherwise goals terminate no episode
+        other_cause = (terminated > 0) & ~rule.terminated(achieved, old)
+        terminated = other_cause | rule.terminated(achieved, new)
+    return changed, terminated
 
 
 def extend(
@@ -185,11 +189,10 @@ def extend(
     slots: Slots,
     relabelled: Array,
     storage: Storage,
-    rule: GoalRule | None,
+    signature: Signature,
     *,
     steps: int,
     discount: float,
-    extra: tuple[float, float] = (0.0, 0.0),
 ) -> FloatArray:
     """Extend the transitions at `slots` (n,) to up to `steps` steps, in place.
 
@@ -203,15 +206,14 @@ def extend(
         slots: slots of the transitions.
         relabelled: the indices of those that have new goals.
         storage: holds the transitions.
-        rule: gives reward and `terminated` under relabelled goals; None in environments without goals.
+        signature: of the environment.
         steps: the largest number of steps.
         discount: per step.
-        extra: range of the part of rewards that the rule does not give, see `Signature.extra_reward`.
 
     Returns:
         discount ** steps taken: (n,) float32.
     """
-    gamma = np.float32(discount)
+    gamma, rule = np.float32(discount), signature.goal_rule
 
     def success(achieved: FloatArray, goals: FloatArray) -> Array:
         return np.zeros(len(achieved), np.bool_) if rule is None else np.asarray(rule.success(achieved, goals))
@@ -231,12 +233,11 @@ def extend(
         reward = storage.column("reward", next_slots)
         terminated = storage.column("terminated", next_slots) > 0
         new, goals = new_goal[index], stored["desired_goal"][index]
-        if rule is not None and new.any():
+        if new.any():
             old_goals = storage.column("desired_goal", next_slots[new])
-            # A termination that the old goal does not explain (e.g. a fall) remains under the new goal.
-            other_cause = terminated[new] & ~rule.terminated(achieved[new], old_goals)
-            reward[new] = relabelled_reward(rule, achieved[new], old_goals, goals[new], reward[new], extra)
-            terminated[new] = other_cause | rule.terminated(achieved[new], goals[new])
+            reward[new], terminated[new] = under_new_goals(
+                signature, achieved[new], old_goals, goals[new], reward[new], terminated[new]
+            )
         stored["reward"][index] += factor[index] * reward
         stored["next_observation"][index] = storage.column("next_observation", next_slots)
         stored["terminated"][index] = terminated

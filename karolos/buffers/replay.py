@@ -60,8 +60,7 @@ class Replay(Buffer):
         self._hindsight = Hindsight(hindsight, signature) if hindsight is not None else None
         augmentation = settings.augmentation
         self._augmentation = Augmentation(augmentation, signature) if augmentation is not None else None
-        self._n_step, self._rule, self._discount = settings.n_step, signature.goal_rule, discount
-        self._extra = signature.extra_reward
+        self._signature, self._n_step, self._discount = signature, settings.n_step, discount
         self._discounts = np.zeros(0, np.float32)
         self._share: float | None = None
         self._generator = seeds.child("sample").generator()
@@ -124,10 +123,9 @@ class Replay(Buffer):
                 slots,
                 relabelled,
                 self.storage,
-                self._rule,
+                self._signature,
                 steps=self._n_step,
                 discount=self._discount,
-                extra=self._extra,
             )
         elif self._discounts.size != slots.size:
             self._discounts = np.full(slots.size, self._discount, np.float32)

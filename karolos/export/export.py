@@ -96,8 +96,7 @@ def export_policy(folder: RunFolder, out: Path, *, checkpoint: str = "best", onn
 
 def arrays(policy: Deployed) -> dict[str, Any]:
     """Content of policy.npz, by name."""
-    joints = policy.joints
-    return {
+    found: dict[str, Any] = {
         "format": np.int64(format_of(policy)),
         "shift": policy.shift,
         "scale": policy.scale,
@@ -108,10 +107,12 @@ def arrays(policy: Deployed) -> dict[str, Any]:
         "layers": np.int64(len(policy.layers)),
         **{f"weight{place}": layer.weight for place, layer in enumerate(policy.layers)},
         **{f"bias{place}": layer.bias for place, layer in enumerate(policy.layers)},
-        **({} if joints is None else {"own": joints.own, "shared": joints.shared, "order": joints.order}),
-        **({} if joints is None else {"first_weight": joints.first.weight, "first_bias": joints.first.bias}),
-        **({} if joints is None else {"last_weight": joints.last.weight, "last_bias": joints.last.bias}),
     }
+    if (joints := policy.joints) is not None:
+        found |= {"own": joints.own, "shared": joints.shared, "order": joints.order}
+        found |= {"first_weight": joints.first.weight, "first_bias": joints.first.bias}
+        found |= {"last_weight": joints.last.weight, "last_bias": joints.last.bias}
+    return found
 
 
 def format_of(policy: Deployed) -> int:

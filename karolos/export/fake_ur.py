@@ -55,7 +55,7 @@ class Subscriber:
 
 
 class FakeUR(Server):
-    """Serves the ports of a controller. `do: fault` makes it fail."""
+    """Serves the ports of a controller. `do: fault` makes it fail, `do: repair` ends all faults."""
 
     def __init__(self, bundle: Path, host: str, settings: dict[str, str]) -> None:
         super().__init__(bundle, host)
@@ -78,6 +78,10 @@ class FakeUR(Server):
         what = request["do"]
         if what == "fault":
             self.fail(request["kind"])
+            return {}
+        if what == "repair":
+            self.faults.clear()
+            self.points = self.refused = 0
             return {}
         if what == "state":
             return {

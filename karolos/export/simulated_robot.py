@@ -259,7 +259,7 @@ class Server:
         self.robot.advance(now)
 
     def serve(self) -> None:
-        """Print the address, and answer until `end`, or until the process at the other end of stdin closes it."""
+        """Print the address, and answer until the process at the other end of stdin closes it."""
         if stat.S_ISFIFO(os.fstat(0).st_mode):  # neither a terminal nor the null device of a service
             threading.Thread(target=self._end_with_stdin, daemon=True).start()
         print(f"{self.host}:{self.port}", flush=True)
@@ -273,10 +273,6 @@ class Server:
     def _end_with_stdin(self) -> None:
         while os.read(0, 1024):
             pass
-        self.end()
-
-    def end(self) -> None:
-        """Stop serving."""
         self._running = False
 
 

@@ -8,18 +8,18 @@ from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
-from ..core import Array, Environment, FloatArray, Step
+from ..core import Array, Environment, Step
 from ..environments.build import build_environment
 from ..environments.robot_task import WRIST, RobotTask
 from ..errors import UsageError
 from ..specification.parts import Recipe
-from .playing import WithExpert, build_recorded
+from .playing import Around, build_recorded
 
 CAMERAS = ("front", "wrist")
 """front: the camera of the task's films. wrist: behind and above the tool; it moves with the tool, without turning."""
 
 
-class Filmed(Environment):
+class Filmed(Around):
     """An environment that films its episodes, one picture for each action.
 
     Args:
@@ -35,22 +35,21 @@ class Filmed(Environment):
     def __init__(
         self, environment: Environment, folder: Path, cameras: tuple[str, ...], size: tuple[int, int], rate: int
     ) -> None:
-        world = environment.environment if isinstance(environment, WithExpert) else environment
-        self._environment, self._world = environment, _with_cameras(world)
+        super().__init__(environment)
+        self._world = _with_cameras(environment.environment if isinstance(environment, Around) else environment)
         self._folder, self._cameras, self._size, self._rate = folder, cameras, size, rate
         self._films: dict[str, Any] = {}
-        self.signature, self.rate = environment.signature, environment.rate
 
     def reset(self, seed: int) -> Step:
         self._end()
-        step = self._environment.reset(seed)
+        step = super().reset(seed)
         for camera in self._cameras:
             self._films[camera] = _film(self._folder / f"{seed}-{camera}.mp4", self._size, self._rate)
         self._add()
         return step
 
     def step(self, action: Array) -> Step:
-        step = self._environment.step(action)
+        step = super().step(action)
         if step.terminated or step.truncated:
             self._end()
         else:
@@ -68,15 +67,9 @@ class Filmed(Environment):
         while self._films:
             self._films.popitem()[1].close()  # which waits until the film is whole
 
-    def parameters(self) -> FloatArray:
-        return self._environment.parameters()
-
-    def measures(self) -> FloatArray:
-        return self._environment.measures()
-
     def close(self) -> None:
         self._end()
-        self._environment.close()
+        super().close()
 
 
 def _with_cameras(environment: Environment) -> RobotTask:

@@ -23,34 +23,18 @@ Act = Callable[[Step], FloatArray]
 """The action (a,) after a step."""
 
 
-class WithExpert(Environment):
-    """An environment whose observations end with the next action of the task's expert.
-
-    Experts can therefore play in other processes, too. Raises UsageError if there is no expert.
-    """
+class Around(Environment):
+    """An environment around another one, which does whatever a subclass does not change."""
 
     def __init__(self, environment: Environment) -> None:
         self.environment = environment
-        signature = environment.signature
-        if isinstance(signature.action, Discrete):
-            raise UsageError("experts give continuous actions", setting="environment.actions")
-        shown = Layout((replace(EXPERT, size=signature.action.size),))
-        self.signature = replace(signature, observation=signature.observation + shown)
-        self.rate = environment.rate
+        self.signature, self.rate = environment.signature, environment.rate
 
     def reset(self, seed: int) -> Step:
-        step = self.environment.reset(seed)
-        self.acting = self.environment.expert()
-        self.acting.reset()
-        return self._shown(step)
+        return self.environment.reset(seed)
 
     def step(self, action: Array) -> Step:
-        return self._shown(self.environment.step(action))
-
-    def _shown(self, step: Step) -> Step:
-        over = step.terminated or step.truncated
-        action = np.zeros(self.signature.action.size) if over else self.acting.act()
-        return step._replace(observation=np.concatenate((step.observation, np.asarray(action, np.float32))))
+        return self.environment.step(action)
 
     def parameters(self) -> FloatArray:
         return self.environment.parameters()
@@ -60,6 +44,35 @@ class WithExpert(Environment):
 
     def close(self) -> None:
         self.environment.close()
+
+
+class WithExpert(Around):
+    """An environment whose observations end with the next action of the task's expert.
+
+    Experts can therefore play in other processes, too. Raises UsageError if there is no expert.
+    """
+
+    def __init__(self, environment: Environment) -> None:
+        super().__init__(environment)
+        signature = environment.signature
+        if isinstance(signature.action, Discrete):
+            raise UsageError("experts give continuous actions", setting="environment.actions")
+        shown = Layout((replace(EXPERT, size=signature.action.size),))
+        self.signature = replace(signature, observation=signature.observation + shown)
+
+    def reset(self, seed: int) -> Step:
+        step = super().reset(seed)
+        self.acting = self.environment.expert()
+        self.acting.reset()
+        return self._shown(step)
+
+    def step(self, action: Array) -> Step:
+        return self._shown(super().step(action))
+
+    def _shown(self, step: Step) -> Step:
+        over = step.terminated or step.truncated
+        action = np.zeros(self.signature.action.size) if over else self.acting.act()
+        return step._replace(observation=np.concatenate((step.observation, np.asarray(action, np.float32))))
 
 
 def build_recorded(recipe: Recipe, *, expert: bool) -> Environment:

@@ -1,35 +1,19 @@
 """DQN: what its values mean, how it explores, and what it stores."""
 
-from dataclasses import replace
-from typing import Any
+from functools import partial
 
 import numpy as np
 import pytest
 import torch
-from pydantic import ValidationError
 from support import parts
-from support.parts import batch, signature
+from support.parts import batch, suited
 
 from karolos.agents.dqn import DQN
 from karolos.agents.inputs import tensor_batch
-from karolos.core import Discrete, Signature
-from karolos.errors import UsageError
 
+OF = suited(DQN)
 ACTIONS = 4
-
-
-def discrete(**of: Any) -> Signature:
-    return replace(signature(**of), action=Discrete(tuple(f"action {number}" for number in range(ACTIONS))))
-
-
-def make(of: Signature | None = None, **settings: Any) -> DQN:
-    return parts.make(DQN, of or discrete(), **settings)
-
-
-def some(size: int, seed: int = 0, of: Signature | None = None, **fixed: Any) -> Any:
-    """A batch of noise with uniform actions."""
-    action = np.random.default_rng(seed).integers(ACTIONS, size=(size, 1))
-    return batch(size, of or discrete(), seed, **{"action": action, **fixed})
+make = partial(parts.make, DQN)
 
 
 @pytest.mark.parametrize("double_q", [True, False])
@@ -37,7 +21,7 @@ def test_target_is_what_the_target_network_says_of_the_action_that_the_online_ne
     agent = make(double_q=double_q, clip_targets=False)
     agent.target.vector.copy_(torch.randn(agent.target.vector.shape, generator=torch.Generator().manual_seed(3)))
     ended = (np.arange(64) % 3 == 0).astype(np.float32)
-    data = some(64, terminated=ended, discount=0.9)
+    data = batch(64, OF, terminated=ended, discount=0.9)
     inputs = tensor_batch(data, agent.normaliser, agent.device)
     online, theirs = (network(inputs.next_input).detach().numpy() for network in (agent.network, agent.target))
     preferred = (online if double_q else theirs).argmax(1)
@@ -46,18 +30,11 @@ def test_target_is_what_the_target_network_says_of_the_action_that_the_online_ne
     assert (online.argmax(1) != theirs.argmax(1)).any()
 
 
-def test_values_of_an_episode_that_ends_at_once_are_possible_too():
-    agent = make(replace(discrete(), reward_range=(1.0, 2.0)), discount=0.9)
-    for reward, terminated, expected in ((1, 1, 1), (-5, 1, 1), (100, 0, 20)):
-        inputs = tensor_batch(some(8, reward=reward, terminated=terminated), agent.normaliser, agent.device)
-        np.testing.assert_allclose(agent.targets(inputs).numpy(), expected, rtol=1e-6)
-
-
 def test_long_gradients_are_cut_to_the_length_that_is_set():
     lengths, told = [], []
     for longest in (None, 0.5):
         agent = make(gradient_norm=longest, loss="squared")
-        told.append(agent.learn(some(32, reward=50, terminated=1))["gradient_norm"].item())
+        told.append(agent.learn(batch(32, OF, reward=50, terminated=1))["gradient_norm"].item())
         # Adam's first step leaves a tenth of the gradient in its running mean
         lengths.append(10 * np.linalg.norm(agent.state()["optimisers"]["network"]["exp_avg"]))
     assert lengths == pytest.approx([told[0], 0.5], rel=1e-4)
@@ -69,14 +46,14 @@ def test_the_target_moves_when_it_is_its_turn_and_as_far_as_tau_says(interval, t
     agent = make(target_interval=interval, tau=tau)
     for update in range(1, 7):
         before = agent.target.vector.clone()
-        agent.learn(some(32, update))
+        agent.learn(batch(32, OF, update))
         expected = before.lerp(agent.network.vector, tau) if update % interval == 0 else before
         torch.testing.assert_close(agent.target.vector, expected)
 
 
 def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays():
     agent = make(epsilon_start=0.9, epsilon_end=0.1, epsilon_steps=100)
-    data = some(10)
+    data = batch(10, OF)
     found = [agent.epsilon]
     for _ in range(12):
         agent.act(data.observation, data.desired_goal, explore=True)
@@ -89,7 +66,7 @@ def test_epsilon_falls_with_exploring_environment_steps_to_its_end_and_stays():
 
 def test_each_environment_explores_with_probability_epsilon_and_tests_do_not():
     agent = make(epsilon_start=0.4, epsilon_end=0.4)
-    data = some(4000)
+    data = batch(4000, OF)
     best = agent.act(data.observation, data.desired_goal, explore=False)
     for _ in range(2):
         explored = agent.act(data.observation, data.desired_goal, explore=True)
@@ -97,13 +74,3 @@ def test_each_environment_explores_with_probability_epsilon_and_tests_do_not():
         assert (explored != best).mean() == pytest.approx(0.4 * (1 - 1 / ACTIONS), abs=0.03)
     greedy = make(epsilon_start=0.0, epsilon_end=0.0)
     np.testing.assert_array_equal(greedy.act(data.observation, data.desired_goal, explore=True), best)
-
-
-def test_continuous_actions_are_refused_with_the_setting_that_helps():
-    with pytest.raises(UsageError, match=r"2 continuous numbers.*environment\.actions=discrete"):
-        make(signature())
-
-
-def test_an_epsilon_that_rises_is_refused():
-    with pytest.raises(ValidationError, match=r"epsilon_end 0\.5 is above epsilon_start 0\.1"):
-        DQN.Settings(epsilon_start=0.1, epsilon_end=0.5)

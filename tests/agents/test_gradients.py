@@ -1,12 +1,11 @@
 """Gradients that agents write down, against those that autograd finds for the losses as their papers give them."""
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from support.parts import batch, leaf, plain, signature
+from support.parts import batch, leaf, plain, signature, suited
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
@@ -18,7 +17,7 @@ from karolos.agents.networks import MLP
 from karolos.agents.ppo import PPO, Gaussian, RolloutBatch
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Batch, Discrete, Signature
+from karolos.core import Batch
 from karolos.core.seeding import SeedTree
 
 OPTIONS: list[dict[str, Any]] = [
@@ -129,12 +128,9 @@ def test_without_demonstrations_nothing_is_imitated():
 @pytest.mark.parametrize("dueling", [False, True])
 @pytest.mark.parametrize("options", [{}, {"loss": "squared"}, {"layer_norm": True}, {"double_q": False}])
 def test_dqns_gradient_is_that_of_its_loss(options, dueling):
-    actions = 4
-    of = replace(signature(), action=Discrete(tuple(map(str, range(actions)))))
-    taken = np.random.default_rng(1).integers(actions, size=(64, 1))
-    weight = np.linspace(0.5, 1.5, 64)
+    of, weight = suited(DQN), np.linspace(0.5, 1.5, 64)
     reward = np.linspace(-3, 3, 64)  # errors on both sides of huber's corners
-    played = batch(64, of, discount=0.5, action=taken, weight=weight, reward=reward)
+    played = batch(64, of, discount=0.5, weight=weight, reward=reward)
     settings = DQN.Settings.model_validate({**STILL, "dueling": dueling, **options})
     agent = DQN(settings, of, SeedTree(0))
     told = agent.learn(played)
@@ -159,7 +155,7 @@ def test_ppos_gradients_are_those_of_its_losses(discrete, options):
     settings = PPO.Settings.model_validate(
         {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
     )
-    agent = PPO(settings, _for_ppo(discrete=discrete), SeedTree(0))
+    agent = PPO(settings, signature(labels=3 * discrete), SeedTree(0))
     generator = torch.Generator().manual_seed(1)
 
     def noise(*size: int) -> Tensor:
@@ -212,7 +208,3 @@ def test_ppos_gradients_are_those_of_its_losses(discrete, options):
     torch.testing.assert_close(told["value_loss"], 0.5 * error.mean().detach())
     expected = torch.autograd.grad(0.5 * error.mean(), value)
     torch.testing.assert_close(agent.value.network.gradient, expected[0], rtol=1e-3, atol=1e-6)
-
-
-def _for_ppo(*, discrete: bool) -> Signature:
-    return replace(signature(), action=Discrete(("a", "b", "c"))) if discrete else signature()

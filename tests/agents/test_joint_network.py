@@ -1,18 +1,16 @@
 """The network that treats joints alike, against its formula under autograd."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 import torch
-from support.parts import batch, make, signature
+from support.parts import batch, jointed, make, signature
 from torch import Tensor
 from torch.nn.functional import layer_norm as normalised
 
 from karolos.agents.joint_network import JointNetwork, JointShape
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Field, Layout
+from karolos.core import Field
 from karolos.errors import UsageError
 
 JOINTS, OTHERS, HIDDEN = ((0, 3, 8), (1, 4, 9), (2, 5, 10)), (6, 7, 11, 12), (6, 8, 7)
@@ -89,14 +87,11 @@ def test_joints_that_change_places_change_their_outputs_and_no_value():
 def test_joints_that_nobody_describes_are_refused():
     with pytest.raises(UsageError, match="do not describe joints"):
         make(SAC, signature(), per_joint=True)
-    with pytest.raises(ValueError, match="two numbers in hidden"):
-        SAC.Settings(per_joint=True, hidden=(64,))
 
 
 @pytest.mark.parametrize("kind", [SAC, TD3])
 def test_an_agent_acts_alike_if_joints_change_places_and_its_state_is_its_own(kind):
-    seen = Layout((Field("place", 4), Field("effects", 6, joints=3), Field("speeds", 3, joints=3)))
-    of = replace(signature(), observation=seen, action=Layout((Field("changes", 3, joints=3), Field("grip", 1))))
+    of = jointed((), Field("grip", 1))
     agent = make(kind, of, per_joint=True, hidden=(16, 24, 24))
     for update in range(4):
         agent.learn(batch(32, of, seed=update))

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from pydantic import ValidationError
+from support import parts
 from support.parts import batch, signature
 
 from karolos.agents.ddpg import DDPG
@@ -13,7 +13,6 @@ from karolos.agents.noise import Noise, NoiseSettings
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Agent
-from karolos.core.seeding import SeedTree
 
 ENVIRONMENTS = 2000
 
@@ -62,44 +61,31 @@ def test_state_dependent_noise_is_a_function_of_the_state_for_its_interval():
 
 
 @pytest.mark.parametrize("settings", KINDS[1:])
-def test_noise_begins_anew_with_an_episode_in_that_environment_alone(settings):
-    noise, rows = make(**{**settings, **({"interval": 50} if "interval" in settings else {})}), torch.ones(3, 3)
-    generator = torch.Generator().manual_seed(0)
-    noise.draw(rows, generator)
-    going_on = Noise.state(noise)["memory"].clone()
-    noise.begin(np.array([1]))
-    noise.draw(rows, generator)
-    after = noise.state()
-    assert after["age"].tolist() == [2, 1, 2]
-    kept = going_on if settings["kind"] == "state_dependent" else None
-    if kept is not None:
-        assert torch.equal(after["memory"][[0, 2]], kept[[0, 2]])
-        assert not torch.equal(after["memory"][1], kept[1])
-
-
-@pytest.mark.parametrize("settings", KINDS[1:])
-def test_what_is_remembered_belongs_to_the_environments_named(settings):
+def test_what_is_remembered_belongs_to_one_environment_and_one_episode(settings):
     noise, generator = make(**settings), torch.Generator().manual_seed(0)
     noise.draw(torch.ones(4, 3), generator)
-    before = noise.state()
+    first = noise.state()
     noise.draw(torch.ones(2, 3), generator, np.array([3, 1]))
-    after = noise.state()
-    assert after["age"].tolist() == [1, 2, 1, 2]
-    assert torch.equal(after["memory"][[0, 2]], before["memory"][[0, 2]])
+    second = noise.state()
+    assert second["age"].tolist() == [1, 2, 1, 2]
+    assert torch.equal(second["memory"][[0, 2]], first["memory"][[0, 2]]), "only the named environments step"
+    noise.begin(np.array([1]))
+    noise.draw(torch.ones(4, 3), generator)
+    third = noise.state()
+    assert third["age"].tolist() == [2, 1, 2, 3]
+    if settings["kind"] == "state_dependent":  # its interval is not over in environments whose episodes go on
+        kept = (third["memory"] == second["memory"]).flatten(1).all(1)
+        assert kept.tolist() == [True, False, True, True]
 
 
 @pytest.mark.parametrize("agent", [SAC, DDPG, TD3])
 @pytest.mark.parametrize("settings", KINDS[1:])
 def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent, settings):
-    def make_agent(seed: int) -> Agent:
-        chosen = agent.Settings.model_validate({"hidden": (16,), "noise": settings})
-        return agent(chosen, signature(), SeedTree(seed))
-
     def act(of: Agent, seed: int) -> np.ndarray:
         data = batch(4, signature(), seed)
         return of.act(data.observation, data.desired_goal, explore=True)
 
-    first, second = make_agent(0), make_agent(1)
+    first, second = (parts.make(agent, seed=seed, noise=settings) for seed in (0, 1))
     for step in range(4):
         act(first, step)
         if step == 1:
@@ -110,18 +96,10 @@ def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent, settings):
 
 
 def test_sac_explores_with_the_spread_that_its_policy_gives():
-    chosen = SAC.Settings.model_validate({"hidden": (16,), "random_actions": 0, "noise": {"kind": "state_dependent"}})
-    agent = SAC(chosen, signature(), SeedTree(0))
+    agent = parts.make(SAC, hidden=(16,), random_actions=0, noise={"kind": "state_dependent"})
     agent.policy.named["layer1.weight"].zero_()
     agent.policy.named["layer1.bias"].copy_(torch.tensor([[0.1, 0.1, -3.0, -3.0]]))
     data = batch(ENVIRONMENTS, signature())
     found = np.arctanh(agent.act(data.observation, data.desired_goal, explore=True))
     assert found.std() == pytest.approx(np.exp(-3), rel=0.1)
     assert found.mean() == pytest.approx(0.1, abs=0.01)
-
-
-def test_settings_of_another_kind_are_refused():
-    with pytest.raises(ValidationError, match="theta goes with kind: ornstein_uhlenbeck"):
-        NoiseSettings(theta=0.1)
-    with pytest.raises(ValidationError, match="interval goes with kind: state_dependent"):
-        NoiseSettings(kind="ornstein_uhlenbeck", interval=4)

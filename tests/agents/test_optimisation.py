@@ -2,15 +2,13 @@
 
 import pytest
 import torch
-from pydantic import ValidationError
-from support.parts import batch, signature
+from support.parts import batch, make, signature
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.optimisation import Adam
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.agents.torch_agent import OptimiserSettings
-from karolos.core.seeding import SeedTree
 
 
 def test_the_learning_rate_falls_with_the_steps_and_stays():
@@ -37,16 +35,16 @@ def test_longer_gradients_are_cut_and_shorter_ones_left():
 
 @pytest.mark.parametrize("kind", [SAC, TD3, DDPG])
 @pytest.mark.parametrize("delay", [1, 2, 3])
-def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind, delay):
+def test_every_optimiser_steps_at_its_turn_and_its_rate_reaches_its_end_with_the_updates_of_the_agent(kind, delay):
     settings = {"learning_rate": 1e-2, "learning_rate_end": 1e-3, "learning_rate_updates": 12, "hidden": (8,)}
     if kind is not DDPG:
         settings["policy_delay"] = delay
-    agent = kind(kind.Settings.model_validate(settings), signature(), SeedTree(0))
+    agent = make(kind, **settings)
     rates = {name: [] for name in agent.optimisers}
     for update in range(18):
         if update == 9:  # a resumed agent goes on with the schedule
             state = agent.state()
-            agent = kind(kind.Settings.model_validate(settings), signature(), SeedTree(0))
+            agent = make(kind, **settings)
             agent.load_state(state)
         before = {name: optimiser.steps for name, optimiser in agent.optimisers.items()}
         agent.learn(batch(8, signature(), update))
@@ -57,8 +55,3 @@ def test_every_rate_reaches_its_end_with_the_updates_of_the_agent(kind, delay):
     for name, found in rates.items():
         assert len(found) == (18 if name == "critic" or kind is DDPG else 18 // delay)
         assert found[-1] == 1e-3
-
-
-def test_half_a_schedule_is_refused():
-    with pytest.raises(ValidationError, match="go together"):
-        OptimiserSettings(learning_rate_end=1e-4)

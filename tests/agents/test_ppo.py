@@ -1,49 +1,19 @@
 """PPO: its advantages, the policy it compares with, what it learns, and what it forgets nothing of."""
 
 from collections import Counter
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
-from support.parts import signature
+from support.parts import make, signature
+from support.parts import rollout as rollout_of
 
 from karolos.agents.ppo import PPO, Categorical, Gaussian, advantages
-from karolos.core import Discrete, Rollout, Signature
-from karolos.core.seeding import SeedTree
+from karolos.core import Rollout
 
-SMALL = {"hidden": (16,), "minibatches": 4, "epochs": 3}
-
-
-def made(of: Signature | None = None, seed: int = 0, **settings: Any) -> PPO:
-    return PPO(PPO.Settings.model_validate(SMALL | settings), of or signature(), SeedTree(seed))
-
-
-def played(agent: PPO, of: Signature, *, steps: int = 8, n: int = 4, seed: int = 0, **fixed: Any) -> Rollout:
-    """A rollout through noise with the agent's own exploring actions; `fixed` gives whole fields."""
-    generator = np.random.default_rng(seed)
-
-    def noise(columns: int) -> np.ndarray:
-        return generator.normal(size=(steps + 1, n, columns)).astype(np.float32)
-
-    observation, goal = noise(of.observation.size), noise(of.desired_goal.size)[:-1]
-    action = np.stack([agent.act(observation[t], goal[t], explore=True) for t in range(steps)])
-    made = Rollout(
-        observation=observation[:-1],
-        desired_goal=goal,
-        action=action,
-        reward=noise(1)[:-1, :, 0],
-        next_observation=observation[1:],
-        terminated=np.zeros((steps, n), np.bool_),
-        ended=np.arange(steps)[:, None].repeat(n, 1) == steps - 1,
-        stored=np.ones((steps, n), np.bool_),
-    )
-    given = {
-        name: np.broadcast_to(value, getattr(made, name).shape).astype(getattr(made, name).dtype)
-        for name, value in fixed.items()
-    }
-    return made._replace(**given)
+made = partial(make, PPO)
 
 
 def written_out(rollout: Rollout, value: Any, next_value: Any, discount: float, decay: float) -> np.ndarray:
@@ -69,7 +39,7 @@ def test_advantages_are_those_of_the_sum_written_out(decay):
     terminated, truncated = generator.random((8, 4)) < 0.2, generator.random((8, 4)) < 0.2
     stored = np.arange(8)[:, None] < [8, 5, 0, 8]
     ended = terminated | truncated | (np.arange(8)[:, None] == np.array([8, 5, 0, 8]) - 1)
-    rollout = played(made(of), of, terminated=terminated, ended=ended, stored=stored)
+    rollout = rollout_of(made(of), of, terminated=terminated, ended=ended, stored=stored)
     value, next_value = generator.normal(size=(2, 8, 4)).astype(np.float32)
     found = advantages(rollout, value, next_value, discount=0.9, trace_decay=decay)
     np.testing.assert_allclose(found, written_out(rollout, value, next_value, 0.9, decay), atol=1e-5)
@@ -83,7 +53,7 @@ def test_a_reward_of_one_is_worth_all_that_would_follow_a_truncated_step_and_one
     over = np.ones((8, 4), np.bool_)
     for number in range(20):
         here = np.random.default_rng(number).uniform(-1, 1, (8, 4, 3)).astype(np.float32)
-        rollout = played(agent, of, seed=number, reward=1.0, ended=over, terminated=over & (kind == "terminated"))
+        rollout = rollout_of(agent, of, seed=number, reward=1.0, ended=over, terminated=over & (kind == "terminated"))
         agent.learn(rollout._replace(observation=here, next_observation=here))
     rows = agent.network_input(here, rollout.desired_goal)
     value = agent.value(rows).numpy()
@@ -102,7 +72,7 @@ def test_log_probability_of_actions_far_outside_is_finite_and_so_is_its_gradient
 def test_learning_from_saturated_actions_stays_finite():
     of = signature()
     agent = made(of, std=1.0)
-    metrics = agent.learn(played(agent, of, action=50.0))
+    metrics = agent.learn(rollout_of(agent, of, action=50.0))
     assert all(np.isfinite(float(value)) for value in metrics.values())
     assert np.isfinite(
         agent.act(*np.zeros((2, 1, 3), np.float32)[:1], np.zeros((1, 2), np.float32), explore=True)
@@ -122,10 +92,10 @@ def test_samples_have_the_spread_they_say_and_categories_their_probabilities():
 
 @pytest.mark.parametrize("discrete", [False, True])
 def test_the_ratio_to_the_policy_that_played_is_one_in_the_first_minibatch(discrete):
-    of = replace(signature(), action=Discrete(("a", "b", "c"))) if discrete else signature()
+    of = signature(labels=3 * discrete)
     agent = made(of, epochs=1, minibatches=1)
     for number in range(3):  # the statistics that inputs are normalised by have moved in between
-        metrics = agent.learn(played(agent, of, steps=16, seed=number))
+        metrics = agent.learn(rollout_of(agent, of, steps=16, seed=number))
         assert float(metrics["kl"]) == pytest.approx(0, abs=1e-6)
         assert float(metrics["clip_fraction"]) == 0
         assert float(metrics["policy_loss"]) == pytest.approx(0, abs=1e-5), "minus the mean of normalised advantages"
@@ -135,7 +105,7 @@ def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch):
     of = signature()
     agent = made(of, epochs=3, minibatches=4)
     stored = np.arange(8)[:, None] < [8, 5, 0, 8]
-    rollout = played(agent, of, stored=stored)
+    rollout = rollout_of(agent, of, stored=stored)
     seen: Counter[bytes] = Counter()
     update = PPO.update
 
@@ -151,7 +121,7 @@ def test_every_transition_is_learned_from_exactly_epochs_times(monkeypatch):
 def test_learning_stops_when_the_policy_has_moved_far_enough():
     of = signature()
     whole, short = made(of, epochs=20), made(of, epochs=20, target_kl=1e-4)
-    rollout = played(whole, of)
+    rollout = rollout_of(whole, of)
     assert whole.learn(rollout)["updates"] == 80
     metrics = short.learn(rollout)
     assert 1 <= metrics["updates"] < 80
@@ -159,11 +129,11 @@ def test_learning_stops_when_the_policy_has_moved_far_enough():
 
 
 def test_the_better_of_two_actions_is_learned():
-    for of in (signature(goal=0, action=1), replace(signature(goal=0), action=Discrete(("bad", "good")))):
+    for of in (signature(goal=0, action=1), signature(goal=0, labels=2)):
         agent = made(of, discount=0.0, learning_rate=1e-2)
         zeros = np.zeros((1, 3), np.float32), np.zeros((1, 0), np.float32)
         for number in range(15):
-            rollout = played(agent, of, steps=16, seed=number)
+            rollout = rollout_of(agent, of, steps=16, seed=number)
             agent.learn(rollout._replace(reward=rollout.action[..., 0]))
         assert agent.act(*zeros, explore=False)[0, 0] > 0.5
 
@@ -180,7 +150,7 @@ def test_exploring_actions_are_not_clipped_and_tested_ones_are():
 def test_values_stay_as_they_are_when_their_scale_changes():
     of = signature()
     agent = made(of)
-    agent.learn(played(agent, of))
+    agent.learn(rollout_of(agent, of))
     rows = torch.randn(50, 5)
     before = agent.value(rows)
     agent.value.update_scale(torch.linspace(-3000, 500, 1000))
@@ -193,7 +163,7 @@ def test_values_of_any_size_are_learned_alike():
         of = signature(goal=0)
         agent = made(of, discount=0.0, learning_rate=1e-2, epochs=10, minibatches=1)
         for number in range(20):
-            rollout = played(agent, of, steps=64, seed=number)
+            rollout = rollout_of(agent, of, steps=64, seed=number)
             metrics = agent.learn(rollout._replace(reward=scale * rollout.observation[..., 0]))
         errors.append(1 - float(metrics["explained_variance"]))
     assert max(errors) < 0.02

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from pydantic import ValidationError
 from support.parts import batch, make, signature
 
 from karolos.agents.actor_critic import QuantileCritic, Quantiles
@@ -58,13 +57,3 @@ def test_truncation_counts_over_members():
     values = torch.tensor([[[1.0, 2.0, 9.0]], [[3.0, 8.0, 7.0]]])
     assert QuantileCritic(Quantiles(quantiles=3, drop=1)).target_values(values).tolist() == [[1, 2, 3, 7]]
     assert QuantileCritic(Quantiles(quantiles=3, drop=0)).target_values(values).shape == (1, 6)
-
-
-def test_priorities_are_one_per_transition():
-    metrics = make(SAC, critic={}).learn(batch(16, signature()))
-    assert metrics["priorities"].shape == (16,)
-
-
-def test_dropping_everything_is_refused():
-    with pytest.raises(ValidationError, match="leaves none"):
-        Quantiles(quantiles=3, drop=3)

@@ -2,14 +2,13 @@
 
 import re
 from collections.abc import Iterator
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.parts import batch, signature
+from support.parts import batch, make, rollout, signature, suited
 
 from karolos.agents.ddpg import DDPG
 from karolos.agents.dqn import DQN
@@ -17,8 +16,6 @@ from karolos.agents.optimisation import REPORT_EVERY
 from karolos.agents.ppo import PPO
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Discrete, Rollout, Signature
-from karolos.core.seeding import SeedTree
 
 CRITICS = {"critic_loss", "value_mean", "value_max", "target_mean", "critic_gradient_norm", "critic_learning_rate"}
 POLICY = {"policy_loss", "policy_gradient_norm", "policy_learning_rate", "action_saturation"}
@@ -47,15 +44,13 @@ REPLAYING = [
     (DDPG, {}, CRITICS | POLICY),
     (DQN, {}, {"value_loss", "value_mean", "value_max", "target_mean", "gradient_norm", "epsilon", "learning_rate"}),
 ]
-DISCRETE = replace(signature(), action=Discrete(("left", "right", "wait")))
 
 
 def updates(kind: Any, options: dict[str, Any], count: int) -> Iterator[dict[str, Any]]:
     """What so many updates in a row say, demonstrations among what is learned from."""
-    of = DISCRETE if kind is DQN else signature()
-    agent = kind(kind.Settings.model_validate({"hidden": (8,), **options}), of, SeedTree(0))
+    agent, of = make(kind, hidden=(8,), **options), suited(kind)
     for seed in range(count):
-        data = batch(16, of, seed, **({"action": 1} if kind is DQN else {}))
+        data = batch(16, of, seed)
         yield dict(agent.learn(data._replace(demonstrated=np.ones(16, np.float32))))
 
 
@@ -68,6 +63,7 @@ def test_replaying_agents_say_what_their_authors_would_look_at(kind, options, se
         for metrics in islice(made, every):
             told |= metrics
         assert set(told) == series | {"priorities"}
+        assert told["priorities"].shape == (16,)
         assert all(np.isfinite(float(value)) for name, value in told.items() if name != "priorities")
 
 
@@ -77,30 +73,15 @@ def test_most_updates_say_priorities_alone_and_take_no_time_for_more(kind, optio
     assert sum(names == {"priorities"} for names in told) == len(told) * (1 - 1 / REPORT_EVERY)
 
 
-def rollout(of: Signature, columns: int) -> Rollout:
-    generator = np.random.default_rng(0)
-    observation = generator.normal(size=(9, 4, of.observation.size)).astype(np.float32)
-    return Rollout(
-        observation=observation[:-1],
-        desired_goal=generator.normal(size=(8, 4, of.desired_goal.size)).astype(np.float32),
-        action=np.ones((8, 4, columns), np.float32),
-        reward=generator.normal(size=(8, 4)).astype(np.float32),
-        next_observation=observation[1:],
-        terminated=np.zeros((8, 4), np.bool_),
-        ended=np.arange(8)[:, None].repeat(4, 1) == 7,
-        stored=np.ones((8, 4), np.bool_),
-    )
-
-
 @pytest.mark.parametrize(
     ("of", "series"),
-    [(signature(), PPOS | CONTINUOUS), (DISCRETE, PPOS)],
-    ids=["arm", "discrete"],
+    [(signature(), PPOS | CONTINUOUS), (signature(labels=3), PPOS)],
+    ids=["continuous", "discrete"],
 )
 def test_ppo_says_of_each_rollout_what_its_authors_would_look_at(of, series):
-    agent = PPO(PPO.Settings(hidden=(8,), epochs=2, minibatches=2), of, SeedTree(0))
+    agent = make(PPO, of, epochs=2, minibatches=2)
     for _ in range(2):
-        told = dict(agent.learn(rollout(of, of.action.size)))
+        told = dict(agent.learn(rollout(agent, of)))
         assert told.pop("updates") == 4
         assert set(told) == series
         assert all(np.isfinite(float(value)) for value in told.values())

@@ -22,17 +22,13 @@ def filled(signature: Signature, steps: int, hindsight: dict[str, Any], *, falle
     return buffer
 
 
-def test_the_reward_is_that_of_the_next_achieved_goal():
-    batch = filled(counting_signature(6), 12, ALWAYS).sample(500)
+@pytest.mark.parametrize("ends", [False, True])
+def test_reward_and_termination_are_those_of_the_next_achieved_goal_under_the_new_goal(ends):
+    batch = filled(counting_signature(6, rule=SameStep(ends=ends)), 12, ALWAYS).sample(500)
     arrived = [(episode, step + 1) == goal for (episode, step), goal in zip(places(batch), goals(batch), strict=True)]
     np.testing.assert_array_equal(batch.reward, np.float32(arrived))
+    np.testing.assert_array_equal(batch.terminated, batch.reward * ends)
     assert 0 < batch.reward.mean() < 1
-
-
-def test_termination_is_recomputed_under_the_new_goal():
-    batch = filled(counting_signature(6, rule=SameStep(ends=True)), 12, ALWAYS).sample(500)
-    np.testing.assert_array_equal(batch.terminated, batch.reward)
-    assert 0 < batch.terminated.mean() < 1
 
 
 def test_a_termination_that_no_goal_explains_remains_under_any_goal():

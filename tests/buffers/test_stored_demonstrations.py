@@ -41,29 +41,26 @@ def sampled(buffer: Any, size: int = 2000) -> set[tuple[int, int]]:
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_demonstrations_are_never_overwritten(buffer):
+def test_demonstrations_are_never_overwritten_and_batches_say_which_they_are(buffer):
     made = make(buffer)
     made.add_demonstrations(episodes(5))
     shown = {(episode, step) for episode in range(100, 105) for step in range(STEPS)}
     assert sampled(made) == shown
     world = filled(made, 60)
-    assert sampled(made) == shown | world.stored(12)
+    batch = made.sample(2000)
+    assert set(places(batch)) == shown | world.stored(12)
+    np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
     assert len(made) == 25 + 24
 
 
 @pytest.mark.parametrize("buffer", BUFFERS)
-def test_a_batch_says_which_rows_are_demonstrated(buffer):
-    made = make(buffer)
-    filled(made, 10)
-    assert made.sample(32).demonstrated is None
-    made.add_demonstrations(episodes(3))
+def test_goals_in_hindsight_and_returns_over_several_steps_are_of_the_same_demonstration(buffer):
+    made = make(buffer, n_step=3)
+    made.add_demonstrations(episodes(4))
     batch = made.sample(500)
-    np.testing.assert_array_equal(batch.demonstrated, batch.observation[:, 1] >= 100)
-    assert 0 < batch.demonstrated.mean() < 1
-
-
-@pytest.mark.parametrize("buffer", BUFFERS)
-def test_hindsight_takes_goals_from_the_same_demonstration(buffer):
+    np.testing.assert_array_equal(batch.next_observation[:, 1], batch.observation[:, 1])
+    taken = batch.next_observation[:, 2] - batch.observation[:, 2]
+    np.testing.assert_array_equal(taken, np.minimum(3, STEPS - batch.observation[:, 2]))
     made = make(buffer, hindsight={"ratio": 1.0, "min_displacement": 0.0})
     made.add_demonstrations(episodes(4))
     batch = made.sample(500)
@@ -71,16 +68,6 @@ def test_hindsight_takes_goals_from_the_same_demonstration(buffer):
     assert (batch.desired_goal[:, 1] > batch.observation[:, 2]).all()
     reached = SameStep().reward(batch.next_observation[:, 1:], batch.desired_goal)
     np.testing.assert_array_equal(batch.reward, reached)
-
-
-@pytest.mark.parametrize("buffer", BUFFERS)
-def test_returns_over_several_steps_end_with_the_demonstration(buffer):
-    made = make(buffer, n_step=3)
-    made.add_demonstrations(episodes(4))
-    batch = made.sample(500)
-    np.testing.assert_array_equal(batch.next_observation[:, 1], batch.observation[:, 1])
-    taken = batch.next_observation[:, 2] - batch.observation[:, 2]
-    np.testing.assert_array_equal(taken, np.minimum(3, STEPS - batch.observation[:, 2]))
 
 
 @pytest.mark.parametrize("share", [None, 0.25])

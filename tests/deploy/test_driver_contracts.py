@@ -65,27 +65,31 @@ class Wandering(Good):
         return super().read()
 
 
-class Repeating(Good):
+class Altering(Good):
+    """Each of its readings has other values in some fields."""
+
+    fields: ClassVar[dict[str, Any]] = {}
+
     def read(self) -> Reading | None:
         reading = super().read()
-        return replace(reading, time=1.0) if reading else None
+        return replace(reading, **self.fields) if reading else None
 
 
-class Infinite(Good):
-    def read(self) -> Reading | None:
-        reading = super().read()
-        return replace(reading, wrench=np.full(6, np.inf)) if reading else None
+class Repeating(Altering):
+    fields: ClassVar[dict[str, Any]] = {"time": 1.0}
 
 
-class Blind(Good):
-    def read(self) -> Reading | None:
-        reading = super().read()
-        return replace(reading, measured={}) if reading else None
+class Infinite(Altering):
+    fields: ClassVar[dict[str, Any]] = {"wrench": np.full(6, np.inf)}
+
+
+class Blind(Altering):
+    fields: ClassVar[dict[str, Any]] = {"measured": {}}
 
 
 class Waiting(Good):
     def read(self) -> Reading | None:
-        time.sleep(0.012)
+        time.sleep(0.009)
         return super().read()
 
 

@@ -16,15 +16,21 @@ from support.drivers import BROKEN, Obedient
 pytestmark = pytest.mark.xdist_group("bundle")  # which a process makes once
 
 
-@pytest.mark.parametrize("fault", [*Obedient.failing, *Obedient.identities])
-def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards(fault, whole, monkeypatch, capsys):
+def driven_by(kind: type[Obedient], monkeypatch: pytest.MonkeyPatch) -> list[Obedient]:
+    """The drivers that commands use from now on, as soon as they use them."""
     made: list[Obedient] = []
 
     def make(*given: Any) -> Obedient:
-        made.append(Obedient(*given))
-        return made[0]
+        made.append(kind(*given))
+        return made[-1]
 
     monkeypatch.setattr(command, "find", lambda _: make)
+    return made
+
+
+@pytest.mark.parametrize("fault", [*Obedient.failing, *Obedient.identities])
+def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards(fault, whole, monkeypatch, capsys):
+    made = driven_by(Obedient, monkeypatch)
     code = command.main([str(whole), "--move", "--rate", "125", "--set", f"fault={fault}"])
     assert code == command.STOPPED
     (line,) = capsys.readouterr().err.splitlines()
@@ -44,13 +50,7 @@ def test_a_signal_stops_the_robot_with_one_line(whole, monkeypatch, capsys):
             if len(self.sent) == BROKEN:
                 signal.raise_signal(signal.SIGTERM)
 
-    made: list[Obedient] = []
-
-    def make(*given: Any) -> Obedient:
-        made.append(Signalled(*given))
-        return made[0]
-
-    monkeypatch.setattr(command, "find", lambda _: make)
+    made = driven_by(Signalled, monkeypatch)
     assert command.main([str(whole), "--move", "--rate", "125"]) == command.STOPPED
     assert capsys.readouterr().err == "stopped: you asked for it\n"
     assert (len(made[0].sent), made[0].stops) == (BROKEN, 1)
@@ -115,8 +115,7 @@ def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole, tmp_path):
 
 
 def test_without_move_the_policy_acts_and_nothing_is_sent(whole, monkeypatch, capsys):
-    made: list[Obedient] = []
-    monkeypatch.setattr(command, "find", lambda _: lambda *given: made.append(Obedient(*given)) or made[0])
+    made = driven_by(Obedient, monkeypatch)
     assert command.main([str(whole)]) == 0
     assert not made[0].sent
     assert made[0].stops == 1
@@ -142,13 +141,10 @@ def test_onnxruntime_acts_as_numpy_does(whole):
         (["--driver", "kuka"], "no driver is called 'kuka'"),
     ],
 )
-def test_wrong_options_are_refused_in_one_line(arguments, why, whole, capsys):
+def test_wrong_options_are_refused_in_one_line(arguments, why, whole, monkeypatch, capsys):
     if "kuka" not in arguments:
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(command, "find", lambda _: Obedient)
-            assert command.main([str(whole), *arguments]) == command.REFUSED
-    else:
-        assert command.main([str(whole), *arguments]) == command.REFUSED
+        driven_by(Obedient, monkeypatch)
+    assert command.main([str(whole), *arguments]) == command.REFUSED
     (line,) = capsys.readouterr().err.splitlines()
     assert why in line
 

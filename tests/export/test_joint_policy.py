@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +12,11 @@ from karolos_deploy import Bundle, command
 from karolos_deploy.drivers import simulation
 from karolos_deploy.policy import NumpyPolicy
 from support.exported_policies import trained
-from support.parts import batch, make, signature
+from support.parts import batch, jointed, make
 
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
-from karolos.core import Deployed, Field, Layout
+from karolos.core import Deployed, Field
 from karolos.errors import UsageError
 from karolos.export import bundle
 from karolos.export.export import arrays
@@ -30,11 +29,8 @@ pytestmark = pytest.mark.xdist_group("exported policies")  # which a process tra
 
 @pytest.mark.parametrize("others", [(), (Field("grip", 1),)], ids=["joints alone", "a gripper first"])
 @pytest.mark.parametrize("kind", [SAC, TD3])
-def test_files_act_as_the_agent_does_with_and_without_absent_joints(
-    kind: Any, others: tuple[Field, ...], tmp_path: Path
-) -> None:
-    seen = Layout((Field("place", 4), Field("effects", 6, joints=3), Field("speeds", 3, joints=3)))
-    of = replace(signature(), observation=seen, action=Layout((*others, Field("changes", 3, joints=3))))
+def test_files_act_as_the_agent_does_with_and_without_absent_joints(kind, others, tmp_path):
+    of = jointed(others)
     agent = make(kind, of, per_joint=True, hidden=(16, 24, 24))
     for update in range(4):
         agent.learn(batch(32, of, seed=update))
@@ -71,7 +67,7 @@ def for_panda(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def test_a_bundle_for_another_arm_computes_what_joints_do_from_its_readings(for_panda: Path) -> None:
+def test_a_bundle_for_another_arm_computes_what_joints_do_from_its_readings(for_panda):
     whole = Bundle(for_panda)
     contract, episode = whole.contract, whole.episode()
     assert (contract["format"], contract["robot"]["name"], len(contract["joints"])) == (2, "panda", 7)
@@ -87,9 +83,7 @@ def test_a_bundle_for_another_arm_computes_what_joints_do_from_its_readings(for_
     assert "Trained without these changes: robot.name=panda." in page
 
 
-def test_karolos_deploy_runs_it_on_a_simulated_arm(
-    for_panda: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_karolos_deploy_runs_it_on_a_simulated_arm(for_panda, monkeypatch, capsys):
     served = Server(for_panda)  # in this process, which need not start another one
 
     class Direct:
@@ -110,7 +104,7 @@ def test_karolos_deploy_runs_it_on_a_simulated_arm(
     assert served.robot.time == pytest.approx(10 / 24, abs=0.02), "ten actions"
 
 
-def test_an_arm_with_another_layout_is_refused(tmp_path: Path) -> None:
+def test_an_arm_with_another_layout_is_refused(tmp_path):
     with pytest.raises(UsageError, match="other observations, actions or goals"):
         bundle.export_bundle(trained("sac_joints"), tmp_path, ["robot.control=pose", "robot.joint_slots=null"])
     assert not any(tmp_path.iterdir())

@@ -3,15 +3,15 @@
 import re
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
 from karolos_deploy import policy as numpy_policy
-from support.exported_policies import trained
+from support.exported_policies import exported
 
 from karolos.export import NumpyPolicy
-from karolos.export.export import export_policy
 
 pytestmark = pytest.mark.xdist_group("exported policies")  # which a process trains once
 
@@ -28,43 +28,28 @@ assert not {"karolos", "torch", "pydantic"} & set(sys.modules)
 """
 
 
-def exported(case: str, folder: Path) -> Path:
-    export_policy(trained(case), folder, checkpoint="last", onnx=False)
-    return folder
-
-
 def test_its_file_alone_with_numpy_is_enough(tmp_path):
-    exported("dqn_dueling", tmp_path)
-    alone = tmp_path / "alone"
-    alone.mkdir()
-    (alone / "numpy_policy.py").write_text(Path(numpy_policy.__file__).read_text())
-    subprocess.run([sys.executable, "-I", "-c", ALONE, str(alone)], cwd=tmp_path, check=True)
+    (tmp_path / "numpy_policy.py").write_text(Path(numpy_policy.__file__).read_text())
+    folder = exported("dqn_dueling").folder
+    subprocess.run([sys.executable, "-I", "-c", ALONE, str(tmp_path)], cwd=folder, check=True)
 
 
-@pytest.mark.parametrize("case", ["sac", "ppo", "dqn_dueling"])
-def test_the_code_in_the_documentation_acts_as_the_agent_does(case, tmp_path, monkeypatch):
+@pytest.mark.parametrize(("case", "block"), [*product(("sac", "ppo", "dqn_dueling"), (0, 1)), ("sac", 2)])
+def test_the_code_in_the_documentation_acts_as_the_agent_does(case, block, monkeypatch):
+    if block == 2:
+        pytest.importorskip("onnx")
+        pytest.importorskip("onnxruntime")
     blocks = re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)
     assert len(blocks) == 3
-    monkeypatch.chdir(exported(case, tmp_path))
-    golden = np.load("golden.npz")
-    for block, expected in ((blocks[0], golden["action"][0]), (blocks[1], golden["action"])):
-        names: dict[str, object] = {}
-        exec(block, names)
-        np.testing.assert_allclose(names["action"], expected, atol=1e-5)
-
-
-def test_the_onnx_code_in_the_documentation_acts_as_the_agent_does(tmp_path, monkeypatch):
-    pytest.importorskip("onnx")
-    pytest.importorskip("onnxruntime")
-    export_policy(trained("sac"), tmp_path, checkpoint="last")
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(exported(case).folder)
     names: dict[str, object] = {}
-    exec(re.findall(r"```python\n(.*?)```", DOCS.read_text(), re.DOTALL)[2], names)
-    np.testing.assert_allclose(names["action"], np.load("golden.npz")["action"], atol=1e-5)
+    exec(blocks[block], names)
+    action = np.load("golden.npz")["action"]
+    np.testing.assert_allclose(names["action"], action if block else action[0], atol=1e-5)
 
 
-def test_inputs_of_another_size_are_refused(tmp_path):
-    policy = NumpyPolicy(exported("sac", tmp_path) / "policy.npz")
+def test_inputs_of_another_size_are_refused():
+    policy = NumpyPolicy(exported("sac").folder / "policy.npz")
     with pytest.raises(ValueError, match="have 3 numbers, the policy takes 4"):
         policy(np.zeros(3), np.zeros(0))
     for observation, goal, sizes in ((4, 0, "4 and 0"), (0, 4, "0 and 4")):

@@ -99,7 +99,7 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
 
 def test_films_have_a_picture_for_each_action(tmp_path):
     filmed = [*COMMAND, str(tmp_path), "--episodes", "2", "--camera", "front", "--camera", "wrist", "--size", "32"]
-    filmed += ["task.max_steps=4", "orchestrator.environments=2"]
+    filmed += ["task.max_steps=4", "orchestrator.environments=1"]
     assert call(app, *filmed)[0] == 0
     info = json.loads((tmp_path / "meta/info.json").read_text())
     rows = pq.read_table(tmp_path / "meta/episodes/chunk-000/file-000.parquet").to_pylist()

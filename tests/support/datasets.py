@@ -15,7 +15,7 @@ from karolos.core.seeding import SeedTree
 from karolos.environments.build import Facts, opened
 from karolos.orchestrator.local import Local
 from karolos.recordings.lerobot import write_lerobot
-from karolos.recordings.playing import Recorder, build_recorded
+from karolos.recordings.playing import Recorder, build_recorded, expert_act
 from karolos.recordings.recording import RecordingFolder, describe
 from karolos.specification import spec_from_dict
 from karolos.specification.parts import Recipe
@@ -51,9 +51,8 @@ def record(path: Path, episodes: int = 3, environments: int = 2, **how: Any) -> 
     folder.begin(describe(RECIPE, {"title": "reach", "task": "Reach.", "robot": "panda", "policy": "expert"}))
     settings = Local.Settings(processes=0, environments=environments)
     with Local(settings, partial(build_recorded, RECIPE, expert=True)) as orchestrator:
-        size = orchestrator.signature.action.size
-        act = lambda step: step.observation[-size:]  # noqa: E731
-        Recorder(orchestrator, act, SeedTree(0), folder, episodes, hidden=size, **{"noise": 0.1, **how}).run()
+        act, hidden = expert_act(orchestrator.signature), orchestrator.signature.action.size
+        Recorder(orchestrator, act, SeedTree(0), folder, episodes, hidden=hidden, **{"noise": 0.1, **how}).run()
     return folder
 
 

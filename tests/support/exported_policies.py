@@ -9,6 +9,7 @@ import numpy as np
 
 from karolos.core import FloatArray
 from karolos.evaluation.policies import SavedAgent, load_agent
+from karolos.export.export import Exported, export_policy
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder
 
@@ -50,6 +51,12 @@ def trained(case: str) -> RunFolder:
     """The run of a case, made once for all tests of a process."""
     outcome = Experiment({"name": case, **CASES[case]}).run(Path(mkdtemp(prefix="karolos-export-")))
     return RunFolder.open(outcome.runs[0].folder)
+
+
+@cache
+def exported(case: str) -> Exported:
+    """Its export, with ONNX where the package is installed, made once for all tests of a process. Nobody changes it."""
+    return export_policy(trained(case), Path(mkdtemp(prefix="karolos-export-")), checkpoint="last")
 
 
 def asked(folder: RunFolder, count: int = 500) -> tuple[SavedAgent, FloatArray, FloatArray, np.ndarray]:

@@ -1,6 +1,7 @@
 """An environment that counts its steps, and an agent and buffer in one that records the calls of the training loop."""
 
 from dataclasses import dataclass
+from itertools import islice
 from types import SimpleNamespace
 from typing import ClassVar
 
@@ -118,15 +119,28 @@ class OnPolicyRecorder(Recorder):
         return {"loss": np.float32(self.learned), "updates": 5}
 
 
-def train(environments=3, recorder=None, failures=0, pretraining_updates=0, **amounts):
+def train(
+    *,
+    environments=3,
+    recorder=None,
+    failures=0,
+    pretraining_updates=0,
+    at_least=None,
+    rounds=None,
+    state=None,
+    orchestrator=Local,
+    **amounts,
+):
+    """Train to the end, or for some rounds, from the beginning or from a state: progress, recorder, training."""
     amounts = {"steps": 60, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
     recorder = Recorder() if recorder is None else recorder
     settings = Local.Settings(processes=0, environments=environments, failures=failures)
-    with Local(settings, Counter) as local:
-        training = Training(
-            local, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), None, pretraining_updates
-        )
-        return list(training.rounds()), recorder, training
+    with orchestrator(settings, Counter) as made:
+        given = SimpleNamespace(**amounts)
+        training = Training(made, recorder, recorder, given, SeedTree(7), at_least, pretraining_updates)
+        if state is not None:
+            training.load_state(state)
+        return list(islice(training.rounds(), rounds)), recorder, training
 
 
 def updates_per_round(progress):

@@ -1,7 +1,6 @@
 """The training loop: what it hands to the buffer, when it learns, that counts alone decide, and that it goes on."""
 
-import itertools
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,22 +9,12 @@ from support.training_parts import Counter, OnPolicyRecorder, Recorder, train, u
 from karolos.core import random_actions
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
-from karolos.orchestrator.local import Local
-from karolos.training.training import Training
 
 
 def test_steps_are_counted_over_all_environments_and_rounds_stop_when_they_are_taken():
     progress, _, training = train(steps=20)
     assert [round.steps for round in progress] == [3, 6, 9, 12, 15, 18, 21]
     assert training.steps == 21
-
-
-def test_the_last_observation_of_an_episode_reaches_the_buffer():
-    _, recorder, _ = train()
-    ends = [added.next_observation[added.truncated | added.terminated] for added in recorder.added]
-    lengths = np.concatenate(ends)[:, 1]
-    assert lengths.size > 5
-    assert set(lengths) <= {2.0, 3.0, 4.0}
 
 
 def test_learning_starts_after_warm_up_and_keeps_the_replay_ratio():
@@ -79,15 +68,6 @@ def test_episode_records_tell_length_reward_success_and_parameters():
         )
 
 
-def test_same_seed_gives_the_same_transitions_and_another_seed_others():
-    (_, first, _), (_, second, _) = train(), train()
-    for one, other in zip(first.added, second.added, strict=True):
-        for field, again in zip(one, other, strict=True):
-            np.testing.assert_array_equal(field, again)
-    seeds = {SeedTree(run).child("environment", i, k).integer() for run in (7, 8) for i in range(3) for k in range(3)}
-    assert len(seeds) == 18
-
-
 def test_a_step_that_diverged_is_counted_and_never_reaches_the_buffer(monkeypatch):
     monkeypatch.setattr(Counter, "diverges", True)
     progress, recorder, training = train(steps=90)
@@ -118,12 +98,14 @@ def test_random_actions_fill_the_action_range():
 
 
 @pytest.mark.parametrize("interesting", [("a",), ("a", 1), (1, "a")])
-def test_seed_tree_is_addressed_not_spawned(interesting):
+def test_seeds_are_addressed_not_spawned_and_all_different(interesting):
     tree = SeedTree(3)
     before = tree.child(*interesting).integer()
     tree.child("something", "else").generator().random()
     assert tree.child(*interesting).integer() == before
     assert SeedTree(4).child(*interesting).integer() != before
+    seeds = {SeedTree(run).child("environment", i, k).integer() for run in (7, 8) for i in range(3) for k in range(3)}
+    assert len(seeds) == 18
 
 
 def test_an_agent_hears_of_every_episode_that_begins():
@@ -154,45 +136,18 @@ def test_actions_are_clipped_for_the_environment_and_stored_as_they_were_given()
 @pytest.mark.parametrize("kind", [Recorder, OnPolicyRecorder])
 @pytest.mark.parametrize("at", [1, 7, 20])
 def test_training_goes_on_bit_for_bit_from_a_saved_state(kind, at):
-    amounts = SimpleNamespace(steps=100, batch_size=4, replay_ratio=2.0, warmup_episodes=4)
-    settings = Local.Settings(processes=0, environments=3)
-
-    def rounds(training, recorder):
-        for round in training.rounds():
-            yield round.steps, round.episodes, round.updates, round.warming_up, round.finished, recorder.added[-1]
-
-    whole = kind()
-    with Local(settings, Counter) as local:
-        expected = list(rounds(Training(local, whole, whole, amounts, SeedTree(7)), whole))
-    first = kind()
-    with Local(settings, Counter) as local:
-        training = Training(local, first, first, amounts, SeedTree(7))
-        found = list(itertools.islice(rounds(training, first), at))
-        state = training.state()
-    first.begun.clear()
-    with Local(settings, Counter) as local:
-        again = Training(local, first, first, amounts, SeedTree(7))
-        again.load_state(state)
-        found += list(rounds(again, first))
-    assert first.begun[0][0] > at, "an episode that goes on does not begin"
-    assert len(found) == len(expected)
-    for ours, theirs in zip(found, expected, strict=True):
-        assert ours[:-1] == theirs[:-1]
-        for one, other in zip(ours[-1], theirs[-1], strict=True):
+    expected, whole, _ = train(recorder=kind(), steps=100, warmup_episodes=4)
+    found, recorder, training = train(recorder=kind(), steps=100, warmup_episodes=4, rounds=at)
+    recorder.begun.clear()
+    found += train(recorder=recorder, steps=100, warmup_episodes=4, state=training.state())[0]
+    assert recorder.begun[0][0] > at, "an episode that goes on does not begin"
+    assert [replace(round, seconds=0) for round in found] == [replace(round, seconds=0) for round in expected]
+    for ours, theirs in zip(recorder.added, whole.added, strict=True):
+        for one, other in zip(ours, theirs, strict=True):
             np.testing.assert_array_equal(one, other)
 
 
 def test_the_state_of_another_number_of_environments_is_refused():
-    recorder = Recorder()
-    amounts = SimpleNamespace(steps=9, batch_size=4, replay_ratio=2.0, warmup_episodes=0)
-    states = []
-    for environments in (3, 2):
-        settings = Local.Settings(processes=0, environments=environments)
-        with Local(settings, Counter) as local:
-            training = Training(local, recorder, recorder, amounts, SeedTree(7))
-            if states:
-                with pytest.raises(UsageError, match="3 environments with 2 action columns, and this one 2 with 2"):
-                    training.load_state(states[0])
-            else:
-                next(training.rounds())
-                states.append(training.state())
+    state = train(environments=3, rounds=1)[2].state()
+    with pytest.raises(UsageError, match="3 environments with 2 action columns, and this one 2 with 2"):
+        train(environments=2, state=state)

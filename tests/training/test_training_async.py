@@ -2,31 +2,29 @@
 
 import itertools
 from functools import partial
-from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
-from support.training_parts import Counter, OnPolicyRecorder, Recorder, train, updates_per_round
+from support.training_parts import Counter, OnPolicyRecorder, train, updates_per_round
 
 from karolos.core import Received
-from karolos.core.seeding import SeedTree
 from karolos.orchestrator.local import Local
-from karolos.training.training import Training
 
 
 class Ragged(Local):
     """In this process, but answers come as from workers of different speed: some of them, by a generator."""
 
-    def __init__(self, environments: int, failures: int = 0) -> None:
-        settings = Local.Settings(processes=0, environments=environments, failures=failures)
-        super().__init__(settings, Counter)
+    def __init__(self, *given: Any) -> None:
+        super().__init__(*given)
         self._late: list[Received] = []
         self._generator = np.random.default_rng(0)
         self.asked: list[int] = []
 
     def receive(self, at_least: int | None = None) -> Received:
-        """So many answers and sometimes more, when there are enough under way."""
-        assert at_least is not None, "nobody waits for all"
+        """So many answers and sometimes more, when there are enough under way; all when episodes are played again."""
+        if at_least is None:
+            return super().receive()
         self.asked.append(at_least)
         new = super().receive()
         if new.environment.size or new.failures:
@@ -53,17 +51,7 @@ class Ragged(Local):
         return Received(received.environment[one], step, received.updates[one])
 
 
-def train_ragged(at_least=1, environments=4, recorder=None, failures=0, rounds=None, state=None, **amounts):
-    amounts = {"steps": 200, "batch_size": 4, "replay_ratio": 2.0, "warmup_episodes": 2} | amounts
-    recorder = Recorder() if recorder is None else recorder
-    with Ragged(environments, failures) as ragged:
-        training = Training(ragged, recorder, recorder, SimpleNamespace(**amounts), SeedTree(7), at_least)
-        if state is not None:
-            ragged.receive = lambda _=None: Local.receive(ragged)
-            training.load_state(state)
-            del ragged.receive
-        progress = list(itertools.islice(training.rounds(), rounds))
-        return progress, recorder, training, ragged
+train_ragged = partial(train, environments=4, at_least=1, steps=200, orchestrator=Ragged)
 
 
 def rows_of(recorder, environment):
@@ -75,7 +63,7 @@ def rows_of(recorder, environment):
 
 @pytest.mark.parametrize("at_least", [None, 1, 3])
 def test_transitions_continue_an_episode_until_it_ends_and_never_join_two(at_least):
-    _, recorder, training = train(environments=4) if at_least is None else train_ragged(at_least)[:3]
+    _, recorder, training = train(environments=4) if at_least is None else train_ragged(at_least=at_least)
     for environment in range(4):
         rows = list(rows_of(recorder, environment))
         assert len(rows) > 10
@@ -91,10 +79,10 @@ def test_transitions_continue_an_episode_until_it_ends_and_never_join_two(at_lea
 
 
 def test_rounds_act_on_some_and_wait_for_no_more_than_asked():
-    progress, recorder, _, ragged = train_ragged(at_least=2)
+    progress, recorder, training = train_ragged(at_least=2)
     sizes = {added.environment.size for added in recorder.added}
     assert min(sizes) < 4
-    assert max(ragged.asked) <= 2
+    assert max(training.orchestrator.asked) <= 2
     assert len(progress) > 200 / 4
 
 
@@ -111,7 +99,7 @@ def test_episodes_are_those_of_lockstep_only_their_order_differs():
 
 @pytest.mark.parametrize("ratio", [0.5, 2.0, 16.0])
 def test_the_replay_ratio_is_kept_to_one_step_of_every_environment(ratio):
-    progress, _, _, _ = train_ragged(steps=400, replay_ratio=ratio)
+    progress, _, _ = train_ragged(steps=400, replay_ratio=ratio)
     since = next(round.steps for round in progress if not round.warming_up)
     for before, round in itertools.pairwise(progress):
         due = (before.steps - since) * ratio / 4
@@ -120,7 +108,7 @@ def test_the_replay_ratio_is_kept_to_one_step_of_every_environment(ratio):
 
 def test_learning_makes_way_for_environments_that_have_answered():
     """With sixteen updates for each step of four environments, some rounds leave a part of them for later."""
-    progress, _, _, _ = train_ragged(steps=400, replay_ratio=16.0)
+    progress, _, _ = train_ragged(steps=400, replay_ratio=16.0)
     rounds = zip(progress, updates_per_round(progress), strict=True)
     learned = {updates for round, updates in rounds if not round.warming_up}
     assert any(count % 4 for count in learned), learned
@@ -128,7 +116,7 @@ def test_learning_makes_way_for_environments_that_have_answered():
 
 def test_policy_lag_is_the_updates_between_an_action_and_its_storing():
     """The recorder acts with the number of updates so far, in thousandths, which the stored action thus tells."""
-    _, recorder, training, _ = train_ragged(steps=400, replay_ratio=4.0, warmup_episodes=0)
+    _, recorder, training = train_ragged(steps=400, replay_ratio=4.0, warmup_episodes=0)
     made_before = np.array([stored for _, stored in recorder.sampled])
     lags = [
         int((made_before <= place).sum()) - round(1000 * float(action[0]))
@@ -149,7 +137,7 @@ def test_policy_lag_in_lockstep_is_what_was_learned_while_the_environments_stepp
 
 def test_stored_actions_are_those_the_environments_took():
     Counter.actions.clear()
-    _, recorder, _, _ = train_ragged(steps=100)
+    _, recorder, _ = train_ragged(steps=100)
     stored = sorted(float(row[4][0]) for environment in range(4) for row in rows_of(recorder, environment))
     taken = sorted(float(action[0]) for action in Counter.actions)
     assert len(taken) - len(stored) <= 4, "except those under way at the end"
@@ -160,7 +148,7 @@ def test_stored_actions_are_those_the_environments_took():
 def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch, lockstep):
     monkeypatch.setattr(Counter, "fails", True)
     amounts = {"environments": 4, "steps": 300, "failures": 50}
-    progress, recorder, training = train(**amounts) if lockstep else train_ragged(**amounts)[:3]
+    progress, recorder, training = train(**amounts) if lockstep else train_ragged(**amounts)
     failures = [failure for round in progress for failure in round.failures]
     failed = [i for failure in failures for i in failure.environment.tolist()]
     assert len(failed) > 3
@@ -178,10 +166,10 @@ def test_environments_that_fail_lose_their_episodes_and_begin_others(monkeypatch
 @pytest.mark.parametrize("at", [1, 5, 40])
 def test_training_goes_on_from_a_saved_state(at):
     """Not bit for bit: but running episodes go on, and the counts are right."""
-    _, recorder, training, _ = train_ragged(rounds=at)
+    _, recorder, training = train_ragged(rounds=at)
     state = training.state()
     before = [list(rows_of(recorder, environment)) for environment in range(4)]
-    progress, _, again, _ = train_ragged(recorder=recorder, state=state)
+    progress, _, again = train_ragged(recorder=recorder, state=state)
     assert progress[0].steps >= training.steps
     assert again.steps == sum(added.environment.size for added in recorder.added) >= 200
     for environment, rows in enumerate(before):
@@ -195,19 +183,3 @@ def test_training_goes_on_from_a_saved_state(at):
 def test_an_on_policy_agent_cannot_go_on_with_some():
     with pytest.raises(ValueError, match="cannot wait for 1 answers"):
         train_ragged(recorder=OnPolicyRecorder())
-
-
-@pytest.mark.parametrize("at_least", [1, 4])
-def test_it_works_with_worker_processes(at_least):
-    from karolos.environments.toy import Toy
-
-    toy = Toy.Settings(dimensions=2, max_steps=5)
-    recorder = Recorder()
-    recorder.act = lambda seen, goal, *, explore, environments: np.zeros((len(seen), 2), np.float32)
-    amounts = SimpleNamespace(steps=200, batch_size=4, replay_ratio=2.0, warmup_episodes=2)
-    with Local(Local.Settings(processes=2, environments=2), partial(Toy, toy)) as local:
-        training = Training(local, recorder, recorder, amounts, SeedTree(7), at_least)
-        progress = list(training.rounds())
-    assert progress[-1].steps >= 200
-    assert [e.steps for round in progress for e in round.finished] == [5] * training.episodes
-    assert training.updates > 60

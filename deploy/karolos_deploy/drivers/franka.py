@@ -15,8 +15,8 @@ import numpy as np
 from ..bundle import Bundle, BundleError
 from ..faults import Fault
 from ..readings import RUNNING, Reading, SetPoint
-from . import TCP_TOLERANCE, Driver
-from .sensors import Sensors
+from . import TCP_TOLERANCE
+from .sensors import SensedDriver, Sensors
 
 STATES = {"UserStopped": "emergency stop", "Reflex": "reflex", "Guiding": "guided by hand", "Other": "not ready"}
 """Modes of the robot in which it does not follow commands -> states."""
@@ -32,7 +32,7 @@ GRIPPER_SPEED = 0.1
 """m/s."""
 
 
-class Franka(Driver):
+class Franka(SensedDriver):
     """Runs the policy on an arm of Franka Robotics."""
 
     settings: ClassVar[Mapping[str, str]] = {
@@ -50,11 +50,9 @@ class Franka(Driver):
         super().__init__(bundle, settings)
         self._robot: Any = None
         self._hand: Any = None
-        self._sensors: Any = None
         self._closing = self._closed = False
         self._busy: Any = None
         self._errors: tuple[type[Exception], ...] = ()
-        self._moves = False
 
     def connect(self) -> dict[str, Any]:
         try:
@@ -78,8 +76,7 @@ class Franka(Driver):
         own = self.bundle.chain.at(state.q_d).position - self.bundle.chain.base
         told = np.array(state.O_T_EE.translation)
         if np.linalg.norm(own - told) > TCP_TOLERANCE:
-            what = f"its end effector is at {told.round(3).tolist()}, joints and bundle say {own.round(3).tolist()}"
-            raise Fault("wrong robot", what + "; set the end effector of the hand in Desk")
+            raise self.wrong_tool("end effector", told, own, "set the end effector of the hand in Desk")
         self._sensors = Sensors(self.values["perception"], self._grip if self._hand is not None else None)
         return {"joints": len(state.q), "payload": state.m_total}
 
@@ -171,11 +168,6 @@ class Franka(Driver):
         except self._errors:
             pass  # then it has stopped by itself
 
-    def outcome(self) -> bool | None:
-        known: bool | None = self._sensors.outcome()
-        return known
-
     def close(self) -> None:
-        if self._sensors is not None:
-            self._sensors.close()
+        super().close()
         self._robot = self._hand = None

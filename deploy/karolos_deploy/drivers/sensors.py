@@ -1,18 +1,44 @@
-"""Gripper and cameras of a driver. They answer more slowly than the arm."""
+"""Gripper and cameras of drivers of real arms. They answer more slowly than the arm."""
 
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 
+from ..bundle import Bundle
 from ..faults import Fault
 from ..kinematics import Array
+from . import Driver
 from .simulation import Channel
 
 RATE = 125.0
 """Number of requests per second."""
+
+
+class SensedDriver(Driver):
+    """A driver of a real arm, which has `Sensors` as soon as it is connected."""
+
+    def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
+        super().__init__(bundle, settings)
+        self._sensors: Any = None
+        self._moves = False
+        """Whether the robot follows set points."""
+
+    def outcome(self) -> bool | None:
+        known: bool | None = self._sensors.outcome()
+        return known
+
+    def close(self) -> None:
+        if self._sensors is not None:
+            self._sensors.close()
+
+    def wrong_tool(self, name: str, told: Array, own: Array, remedy: str) -> Fault:
+        """The fault of a controller whose tool centre point is not that of the bundle."""
+        places = f"is at {told.round(3).tolist()}, joints and bundle say {own.round(3).tolist()}"
+        return Fault("wrong robot", f"its {name} {places}; {remedy}")
 
 
 class Sensors:

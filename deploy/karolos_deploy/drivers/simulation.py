@@ -62,13 +62,6 @@ class Channel:
         self._socket.close()
 
 
-def reading_of(told: Mapping[str, Any]) -> Reading:
-    """A reading from its JSON."""
-    measured = {name: np.array(values, float) for name, values in told["measured"].items()}
-    positions, velocities, wrench = (np.array(told[name], float) for name in ("positions", "velocities", "wrench"))
-    return Reading(told["time"], positions, velocities, wrench, told["opening"], measured, told["state"])
-
-
 class Simulation(Driver):
     """Runs the policy on a simulated robot."""
 
@@ -122,7 +115,12 @@ class Simulation(Driver):
         if not self._simulated:
             self._latest = self._channel.ask(do="exchange", point=self._point)
             self._point = None
-        return reading_of(self._latest) if self._latest else None
+        told = self._latest
+        if not told:
+            return None
+        measured = {name: np.array(values, float) for name, values in told["measured"].items()}
+        positions, velocities, wrench = (np.array(told[name], float) for name in ("positions", "velocities", "wrench"))
+        return Reading(told["time"], positions, velocities, wrench, told["opening"], measured, told["state"])
 
     def send(self, point: SetPoint) -> None:
         told: dict[str, Any] = {"opening": point.opening}

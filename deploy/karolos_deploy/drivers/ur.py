@@ -18,8 +18,8 @@ from ..faults import Fault
 from ..kinematics import turn_of, turned_by
 from ..motion import shortened
 from ..readings import RUNNING, Reading, SetPoint
-from . import TCP_TOLERANCE, Driver
-from .sensors import Sensors
+from . import TCP_TOLERANCE
+from .sensors import SensedDriver, Sensors
 
 VARIABLES = [
     "timestamp",
@@ -39,7 +39,7 @@ DECELERATION = 5.0
 """Deceleration of a controlled stop, rad/s2."""
 
 
-class UR(Driver):
+class UR(SensedDriver):
     """Runs the policy on an arm of Universal Robots."""
 
     settings: ClassVar[Mapping[str, str]] = {
@@ -57,9 +57,8 @@ class UR(Driver):
         self._impedance = bundle.contract["control"]["mode"] == "impedance"
         self._receive: Any = None
         self._control: Any = None
-        self._time, self._moves = -1.0, False
+        self._time = -1.0
         self._gripper: Any = None
-        self._sensors: Any = None
 
     def connect(self) -> dict[str, Any]:
         try:
@@ -91,10 +90,7 @@ class UR(Driver):
         at = self.bundle.chain.at(self._receive.getActualQ())
         own, told = at.position - self.bundle.chain.base, np.array(self._receive.getActualTCPPose()[:3])
         if abs(np.hypot(*own[:2]) - np.hypot(*told[:2])) + abs(own[2] - told[2]) > TCP_TOLERANCE:
-            what = (
-                f"its tool centre point is at {told.round(3).tolist()}, joints and bundle say {own.round(3).tolist()}"
-            )
-            raise Fault("wrong robot", what + "; set the TCP of the gripper on the controller")
+            raise self.wrong_tool("tool centre point", told, own, "set the TCP of the gripper on the controller")
         self._turn = turned_by((0.0, 0.0, np.arctan2(own[1], own[0]) - np.arctan2(told[1], told[0])))
 
     def _grip(self, wanted: float | None) -> float:
@@ -192,13 +188,8 @@ class UR(Driver):
         except RuntimeError:
             pass  # the watchdog stops it
 
-    def outcome(self) -> bool | None:
-        known: bool | None = self._sensors.outcome()
-        return known
-
     def close(self) -> None:
-        if self._sensors is not None:
-            self._sensors.close()
+        super().close()
         for one in (self._control, self._receive):
             if one is not None:
                 one.disconnect()
