@@ -32,7 +32,6 @@ class Bundle:
     """A policy with the contract of its inputs and outputs. Every file is checked against its SHA-256.
 
     Args:
-        folder: of the bundle.
         onnx: whether onnxruntime runs policy.onnx; otherwise numpy runs policy.npz.
 
     Attributes:

@@ -247,9 +247,7 @@ def check(name: str, bundle: Path, settings: Mapping[str, str], *, lose: Callabl
     """Check every promise of an installed driver.
 
     Args:
-        name: of the driver.
         bundle: folder of a bundle for its robot. One of the task reach needs no cameras.
-        settings: of the driver, by name.
         lose: function that cuts a driver's connection, like a pulled cable.
 
     Raises:

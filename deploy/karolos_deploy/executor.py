@@ -45,7 +45,6 @@ class Executor:
     """Runs a bundle on a robot.
 
     Args:
-        bundle: the policy and its contract.
         driver: connected or not; `connect` is called by `check`.
         rate: set points per second.
         log: file for every cycle; None: no log.
@@ -62,7 +61,7 @@ class Executor:
 
     def check(self) -> None:
         """Connect, and raise Fault if the policy was not trained for this robot."""
-        Watch(self.bundle.contract, self.late).identity(self.driver.connect(), self.bundle.contract)
+        Watch(self.bundle.contract, self.late).identity(self.driver.connect())
 
     def run(
         self, episode: int = 0, goal: list[float] | None = None, *, move: bool = True, steps: int | None = None
@@ -118,7 +117,7 @@ class Executor:
         watch, observer = Watch(contract, self.late), Observer(contract)
         motion = Motion(contract, chain, driver.acceleration_share)
         latest = self._first(watch)
-        watch.start(latest, contract)
+        watch.start(latest)
         at = chain.at(latest.positions)
         motion.reset(latest.positions, at)
         observer.feel(latest)
@@ -153,13 +152,7 @@ class Executor:
 
 
 class Log:
-    """A log of every cycle: one line of JSON with the names of the columns, then rows of float64.
-
-    Args:
-        path: of the file.
-        bundle: the executed bundle.
-        rate: of the robot.
-    """
+    """A log of every cycle: one line of JSON with the names of the columns, then rows of float64."""
 
     def __init__(self, path: Path, bundle: Bundle, rate: float) -> None:
         contract = bundle.contract
@@ -196,12 +189,7 @@ def read_log(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
 
 
 class Replay(Driver):
-    """A driver that reads a log in place of a robot, and compares its set points with the logged ones.
-
-    Args:
-        bundle: of the log.
-        path: of the log.
-    """
+    """A driver that reads a log in place of a robot, and compares its set points with the logged ones."""
 
     def __init__(self, bundle: Bundle, path: Path) -> None:
         super().__init__(bundle, {})

@@ -35,12 +35,12 @@ class Watch:
     """Looks for faults in readings, and raises the first one.
 
     Args:
-        contract: of the bundle.
         late: seconds without a new reading after which the robot is stopped.
     """
 
     def __init__(self, contract: Mapping[str, Any], late: float) -> None:
         joints, limits = contract["joints"], contract["limits"]
+        self._robot, self._start = contract["robot"], contract["start"]
         self._late, self._force = late, limits["force"]
         self._low, self._high, self._speed = (
             np.array([joint[key] for joint in joints]) for key in ("lower", "upper", "velocity")
@@ -52,25 +52,22 @@ class Watch:
         self._before: Reading | None = None
         self._news = 0.0
 
-    def identity(self, robot: Mapping[str, Any], contract: Mapping[str, Any]) -> None:
+    def identity(self, robot: Mapping[str, Any]) -> None:
         """Raise Fault if a driver is connected to a robot, gripper or payload for which the policy was not trained.
 
         `robot` leaves out facts that the driver does not know.
         """
         for key in ("name", "gripper", "joints"):
-            wanted = len(self._names) if key == "joints" else contract["robot"][key]
+            wanted = len(self._names) if key == "joints" else self._robot[key]
             if key in robot and robot[key] != wanted:
                 raise Fault("wrong robot", f"its {key} is {robot[key]}, the policy was trained for {wanted}")
-        if "payload" in robot and abs(robot["payload"] - contract["robot"]["payload"]) > 0.1:
-            raise Fault(
-                "wrong payload",
-                f"the controller is set to {robot['payload']:.2f} kg, gripper and load weigh "
-                f"{contract['robot']['payload']:.2f} kg",
-            )
+        if "payload" in robot and abs(robot["payload"] - self._robot["payload"]) > 0.1:
+            weight = f"gripper and load weigh {self._robot['payload']:.2f} kg"
+            raise Fault("wrong payload", f"the controller is set to {robot['payload']:.2f} kg, {weight}")
 
-    def start(self, reading: Reading, contract: Mapping[str, Any]) -> None:
+    def start(self, reading: Reading) -> None:
         """Raise Fault if the robot is not at the start pose of episodes."""
-        low, high = np.array(contract["start"])
+        low, high = np.array(self._start)
         for name, value, least, most in zip(self._names, reading.positions, low, high, strict=True):
             if not least - 0.1 <= value <= most + 0.1:
                 raise Fault(

@@ -30,8 +30,6 @@ class Motion:
     """Turns actions into set points.
 
     Args:
-        contract: of the bundle.
-        chain: of the arm.
         share: used fraction of the joints' accelerations.
     """
 
@@ -77,7 +75,6 @@ class Motion:
         """Accept an action (a,), in [-1, 1], at the beginning of a control step.
 
         Args:
-            action: of the policy.
             positions: of the joints as they were read (n,).
             at: the chain there.
             now: of the executor's clock in s.

@@ -15,9 +15,6 @@ FORMAT, JOINTS_FORMAT = 2, 3
 class NumpyPolicy:
     """An exported policy. Its actions are those of the agent without exploration.
 
-    Args:
-        path: of policy.npz.
-
     Raises:
         ValueError: the file has another format.
     """

@@ -75,11 +75,7 @@ class SetPoint:
 
 
 class Observer:
-    """Builds the observation of a policy from readings, by the formulas of a bundle's contract.
-
-    Args:
-        contract: of the bundle.
-    """
+    """Builds the observation of a policy from readings, by the formulas of a bundle's contract."""
 
     def __init__(self, contract: Mapping[str, Any]) -> None:
         self.fields: list[dict[str, Any]] = contract["observation"]
@@ -115,7 +111,6 @@ class Observer:
         """The observation (o,).
 
         Args:
-            reading: the newest.
             at: the chain at its joint positions.
             set_point: the way from the tool to the set point of a spring (6,), m and rad; zeros without.
         """

@@ -31,8 +31,6 @@ class Normaliser:
     Only `update` changes the statistics; acting and tests leave them unchanged.
 
     Args:
-        columns: their number.
-        device: where the statistics live.
         clip: normalised columns are clipped to +- this.
         missing: the columns with desired minus achieved goal.
         fine: factor of these columns over their spread; not the clip but tanh bounds them.

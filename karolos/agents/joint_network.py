@@ -71,9 +71,7 @@ class JointNetwork(MLP):
     """See the module. It computes in float32.
 
     Args:
-        shape: columns, units, members.
         generator: draws the weights, on the CPU: uniform in +- 1 / sqrt(input columns).
-        device: where the parameters live.
     """
 
     shape: JointShape

@@ -74,7 +74,6 @@ def forward(x: Tensor, layers: list[Affine], *, layer_norm: bool) -> tuple[Tenso
     """(n, in) -> (n, out) in float32; all layers but the last one compute in the type of `x`.
 
     Args:
-        x: inputs.
         layers: with a rectifier behind each but the last one.
         layer_norm: normalise before each rectifier.
     """
@@ -99,8 +98,6 @@ def backward(
 
     Args:
         gradient: by the outputs, (n, out).
-        tape: of `forward`.
-        layers: as in `forward`.
         out: receives the gradients by the parameters of each layer; None: they are not computed.
         columns: input columns whose gradient is wanted.
 

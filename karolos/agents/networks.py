@@ -57,9 +57,7 @@ class MLP:
     Under autograd call `vector.requires_grad_()`, give `[vector]` to an optimiser of torch.optim and call the network.
 
     Args:
-        shape: layers, members, options.
         generator: samples the weights, on the CPU: uniform in +- 1 / sqrt(input columns), as torch.nn.Linear does.
-        device: where the parameters live.
     """
 
     def __init__(self, shape: NetworkShape, generator: torch.Generator, device: str) -> None:

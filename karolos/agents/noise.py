@@ -64,10 +64,8 @@ class Noise:
         gives it, so that actions have the density that the policy's loss assumes.
 
     Args:
-        settings: the kind.
         inputs: columns of the policy's input.
         actions: columns of an action.
-        device: where the noise lives.
     """
 
     def __init__(self, settings: NoiseSettings, inputs: int, actions: int, device: torch.device) -> None:

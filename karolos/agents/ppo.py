@@ -229,10 +229,8 @@ def advantages(
     1506.02438, equation 16.
 
     Args:
-        rollout: rewards and ends.
         value: of the observations, (T, n).
         next_value: of the next observations, (T, n).
-        discount: of the next step's value.
         trace_decay: lambda; 0 trusts the values, 1 the rewards.
     """
     next_value = np.where(rollout.terminated, np.float32(0), next_value)
@@ -253,7 +251,6 @@ class Gaussian:
     Args:
         columns: of an action, and of the network's output.
         std: standard deviation at the start.
-        device: where it lives.
     """
 
     def __init__(self, columns: int, std: float, device: str) -> None:
@@ -349,8 +346,6 @@ class Value:
 
     Args:
         sizes: input columns, units of each hidden layer.
-        generator: draws the weights.
-        device: where everything lives.
     """
 
     def __init__(self, sizes: tuple[int, ...], generator: torch.Generator, device: str) -> None:
@@ -420,7 +415,6 @@ def make_orthogonal(network: MLP, generator: torch.Generator, *, last_gain: floa
 
     Args:
         network: one without members.
-        generator: draws the weights, on the CPU.
         last_gain: of the last layer; small, it makes the outputs start near 0. The other layers have sqrt(2).
     """
     weights = [view for name, view in network.named.items() if name.endswith("weight")]

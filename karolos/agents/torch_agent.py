@@ -87,9 +87,6 @@ class TorchAgent(Agent[Experience]):
 
     Args:
         settings: with `discount`, and those of the optimiser.
-        signature: of the environment.
-        seeds: of this agent.
-        device: cpu or cuda.
         input_clip: bound of normalised inputs.
     """
 

@@ -202,13 +202,8 @@ def extend(
     Hessel et al. 2018, "Rainbow".
 
     Args:
-        stored: the transitions.
-        slots: slots of the transitions.
         relabelled: the indices of those that have new goals.
-        storage: holds the transitions.
-        signature: of the environment.
         steps: the largest number of steps.
-        discount: per step.
 
     Returns:
         discount ** steps taken: (n,) float32.

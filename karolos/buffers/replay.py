@@ -109,7 +109,6 @@ class Replay(Buffer):
         """The transitions at these slots as a batch, partly with new goals; the next call overwrites the arrays.
 
         Args:
-            slots: (n,).
             weights: importance weights of their losses, (n,).
             identifiers: the numbers in `Batch.slot`, (n,).
         """

@@ -40,9 +40,7 @@ class Storage:
     """A table of transitions, with one ring of rows per environment.
 
     Args:
-        signature: of the environments.
         capacity: transitions in total, split evenly over the environments; the remainder of the division is unused.
-        environments: number of environments.
 
     Raises:
         UsageError: a ring is shorter than one episode.

@@ -26,7 +26,6 @@ class Filmed(Around):
         environment: of a robot and a task; it may be `WithExpert`.
         folder: of the films, SEED-CAMERA.mp4.
         cameras: some of CAMERAS.
-        size: width and height of the pictures.
         rate: pictures per second of the film.
 
     Raises UsageError if the environment has no cameras.

@@ -78,7 +78,6 @@ def write_lerobot(
     Args:
         about: meaning of the numbers, see `recording.describe`; `cameras` has the size of each film's pictures.
         recordings: in order; one is in memory at a time.
-        task: the robot's task in words.
         films: folder with SEED-CAMERA.mp4 of each episode, which are copied into the dataset.
 
     Raises MachineError if pyarrow is missing, or the folder cannot be written.

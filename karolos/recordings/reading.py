@@ -91,7 +91,7 @@ def read_recordings(
     episodes, successes = [], 0
     for place in range(min(count, len(source.lengths))):
         on_episode(place)
-        transitions, success = _transitions(mapping, place)
+        transitions, success = mapping.transitions(place)
         episodes.append(transitions)
         successes += success
     if not episodes:
@@ -204,92 +204,90 @@ class _Mapping:
             raise UsageError(f"{given} cannot be converted to {unit}", setting=setting, hint=f"one of {_list(UNITS)}")
         return factor
 
+    def transitions(self, place: int) -> tuple[Transitions, bool]:
+        """An episode, and whether it ends with success."""
+        path, signature = self.source.path, self.signature
+        found, episode = self.source.read(place), f"episode {place}"
 
-def _transitions(mapping: _Mapping, place: int) -> tuple[Transitions, bool]:
-    """An episode, and whether it ends with success."""
-    source, signature = mapping.source, mapping.signature
-    found, episode = source.read(place), f"episode {place}"
+        def needed(name: str, layout: Layout | Discrete) -> FloatArray:
+            values = self.part(name, layout, found, episode)
+            if values is None:
+                hint = f"name it: demonstrations.columns.{name}: COLUMN; there are {_list(found)}"
+                refuse(path, f"{episode} has no {name} that is known to be the environment's", hint)
+            return values
 
-    def needed(name: str, layout: Layout | Discrete) -> FloatArray:
-        values = mapping.part(name, layout, found, episode)
-        if values is None:
-            hint = f"name it: demonstrations.columns.{name}: COLUMN; there are {_list(found)}"
-            refuse(source.path, f"{episode} has no {name} that is known to be the environment's", hint)
-        return values
+        observation = needed("observation", signature.observation)
+        action = needed("action", signature.action)
+        desired = needed("desired_goal", signature.desired_goal) if signature.desired_goal.size else observation[:, :0]
+        achieved = self.part("achieved_goal", signature.achieved_goal, found, episode)
+        if achieved is None:
+            achieved = self._observed(observation)
+        if achieved is None:
+            achieved = needed("achieved_goal", signature.achieved_goal)
+        steps = min(len(action), len(observation) - 1, len(achieved) - 1)
+        if steps < 1 or len(desired) < steps:
+            refuse(path, f"{episode} has {len(action)} actions and {len(observation)} states: too few to learn from")
+        if isinstance(signature.action, Discrete):
+            allowed = np.isin(action, np.arange(len(signature.action.labels)))
+        else:
+            allowed = np.abs(action) <= 1 + 1e-6
+        if not allowed.all():
+            row, column = np.argwhere(~allowed)[0]
+            what = f"{episode}, row {row}: action[{column}] is {action[row, column]:.3g}"
+            refuse(path, what, "actions here are shares of the largest movement, in [-1, 1], or indices of a set")
+        following, goal = achieved[1 : steps + 1], desired[:steps]
+        reward, terminated, success = self._judged(found, episode, following, goal)
+        early = int(np.argmax(terminated)) + 1 if terminated.any() else steps
+        truncated = np.zeros(steps, np.bool_)
+        truncated[early - 1] = not terminated[early - 1]
+        transitions = Transitions(
+            environment=np.zeros(steps, np.int64),
+            observation=observation[:steps],
+            achieved_goal=achieved[:steps],
+            desired_goal=goal,
+            action=action[:steps],
+            reward=np.asarray(reward, np.float32),
+            next_observation=observation[1 : steps + 1],
+            next_achieved_goal=following,
+            terminated=terminated,
+            truncated=truncated,
+        )
+        cut: Any = (array[:early] for array in transitions)
+        return Transitions(*cut), success
 
-    observation = needed("observation", signature.observation)
-    action = needed("action", signature.action)
-    desired = needed("desired_goal", signature.desired_goal) if signature.desired_goal.size else observation[:, :0]
-    achieved = mapping.part("achieved_goal", signature.achieved_goal, found, episode)
-    if achieved is None:
-        achieved = _observed(signature, observation)
-    if achieved is None:
-        achieved = needed("achieved_goal", signature.achieved_goal)
-    steps = min(len(action), len(observation) - 1, len(achieved) - 1)
-    if steps < 1 or len(desired) < steps:
-        refuse(source.path, f"{episode} has {len(action)} actions and {len(observation)} states: too few to learn from")
-    if isinstance(signature.action, Discrete):
-        allowed = np.isin(action, np.arange(len(signature.action.labels)))
-    else:
-        allowed = np.abs(action) <= 1 + 1e-6
-    if not allowed.all():
-        row, column = np.argwhere(~allowed)[0]
-        what = f"{episode}, row {row}: action[{column}] is {action[row, column]:.3g}"
-        refuse(source.path, what, "actions here are shares of the largest movement, in [-1, 1], or indices of a set")
-    following, goal = achieved[1 : steps + 1], desired[:steps]
-    reward, terminated, success = _judged(source, signature, found, episode, following, goal)
-    early = int(np.argmax(terminated)) + 1 if terminated.any() else steps
-    truncated = np.zeros(steps, np.bool_)
-    truncated[early - 1] = not terminated[early - 1]
-    transitions = Transitions(
-        environment=np.zeros(steps, np.int64),
-        observation=observation[:steps],
-        achieved_goal=achieved[:steps],
-        desired_goal=goal,
-        action=action[:steps],
-        reward=np.asarray(reward, np.float32),
-        next_observation=observation[1 : steps + 1],
-        next_achieved_goal=following,
-        terminated=terminated,
-        truncated=truncated,
-    )
-    cut: Any = (array[:early] for array in transitions)
-    return Transitions(*cut), success
+    def _judged(
+        self, found: Columns, episode: str, following: FloatArray, goal: FloatArray
+    ) -> tuple[FloatArray, BoolArray, bool]:
+        """Rewards and terminations of steps that arrive at `following`, and whether the last one is a success."""
+        source, signature = self.source, self.signature
+        rule, steps = signature.goal_rule, len(following)
+        recorded, ended = found.get(source.names["reward"]), found.get(source.names["terminated"])
+        if rule is None:
+            if recorded is None:
+                refuse(source.path, f"{episode} has no rewards, and the environment has no goals to compute them from")
+            over = np.zeros(steps, np.bool_) if ended is None else ended[:steps, 0].astype(np.bool_)
+            return np.asarray(recorded[:steps, 0], np.float32), over, False
+        reward = np.asarray(rule.reward(following, goal), np.float32)
+        low, high = signature.extra_reward
+        if source.about is not None and recorded is not None:
+            own = np.asarray(recorded[:steps, 0], np.float32)
+            fits = (own >= reward + low - TOLERANCE) & (own <= reward + high + TOLERANCE)  # nan is not
+            if not fits.all():
+                row = int(np.argmin(fits))
+                what = f"{episode}, row {row}: the reward is {own[row]:.4g}, by the task's rule {reward[row]:.4g}"
+                refuse(source.path, what, "it is of another task, or damaged")
+            reward = own
+        terminated = np.asarray(rule.terminated(following, goal), np.bool_)
+        return reward, terminated, bool(rule.success(following[-1], goal[-1]))
 
-
-def _judged(
-    source: Dataset, signature: Signature, found: Columns, episode: str, following: FloatArray, goal: FloatArray
-) -> tuple[FloatArray, BoolArray, bool]:
-    """Rewards and terminations of steps that arrive at `following`, and whether the last one is a success."""
-    rule, steps = signature.goal_rule, len(following)
-    recorded, ended = found.get(source.names["reward"]), found.get(source.names["terminated"])
-    if rule is None:
-        if recorded is None:
-            refuse(source.path, f"{episode} has no rewards, and the environment has no goals to compute them from")
-        over = np.zeros(steps, np.bool_) if ended is None else ended[:steps, 0].astype(np.bool_)
-        return np.asarray(recorded[:steps, 0], np.float32), over, False
-    reward = np.asarray(rule.reward(following, goal), np.float32)
-    low, high = signature.extra_reward
-    if source.about is not None and recorded is not None:
-        own = np.asarray(recorded[:steps, 0], np.float32)
-        fits = (own >= reward + low - TOLERANCE) & (own <= reward + high + TOLERANCE)  # nan is not
-        if not fits.all():
-            row = int(np.argmin(fits))
-            what = f"{episode}, row {row}: the reward is {own[row]:.4g}, by the task's rule {reward[row]:.4g}"
-            refuse(source.path, what, "it is of another task, or damaged")
-        reward = own
-    terminated = np.asarray(rule.terminated(following, goal), np.bool_)
-    return reward, terminated, bool(rule.success(following[-1], goal[-1]))
-
-
-def _observed(signature: Signature, observation: FloatArray) -> FloatArray | None:
-    """The achieved goal, taken from the observations if they have all its fields by the same names."""
-    layout = signature.observation
-    sizes = {one.name: one.size for one in layout.fields}
-    fields = signature.achieved_goal.fields
-    if any(sizes.get(one.name) != one.size for one in fields):
-        return None
-    return np.concatenate([observation[:, layout.slice(one.name)] for one in fields] or [observation[:, :0]], 1)
+    def _observed(self, observation: FloatArray) -> FloatArray | None:
+        """The achieved goal, taken from the observations if they have all its fields by the same names."""
+        layout = self.signature.observation
+        sizes = {one.name: one.size for one in layout.fields}
+        fields = self.signature.achieved_goal.fields
+        if any(sizes.get(one.name) != one.size for one in fields):
+            return None
+        return np.concatenate([observation[:, layout.slice(one.name)] for one in fields] or [observation[:, :0]], 1)
 
 
 def _list(names: Any) -> str:

@@ -60,7 +60,6 @@ class Episodes:
     worker changes nothing: its episodes are played again up to the same step.
 
     Args:
-        orchestrator: the environments.
         seeds: the run's; episode k of environment i has the seed at ("environment", i, k).
         replay: whether episodes of lost workers are played again, which needs lockstep. Otherwise they fail.
     """
@@ -224,10 +223,7 @@ class Collector:
     A round calls `act`, which does not wait, and then `collect`. Actions are uniformly random during warm-up.
 
     Args:
-        orchestrator: the environments.
         agent: chooses the actions; an on-policy agent has no warm-up.
-        buffer: stores the transitions.
-        seeds: the run's.
         warmup_episodes: episodes that end before the agent acts and learns.
         at_least: answers that `collect` waits for; None waits for all environments (lockstep).
     """

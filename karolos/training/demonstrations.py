@@ -47,7 +47,6 @@ def collect_demonstrations(
     Args:
         recipe: of the environment, with randomization.
         settings: number of episodes and size of the noise.
-        seeds: the run's.
         on_step: is called with the number of collected episodes before each step. An error that it raises is passed on.
 
     Raises:

@@ -53,8 +53,6 @@ class Training:
     """Trains one agent: `rounds()` is the loop. The caller may stop after any round, and continue from `state()`.
 
     Args:
-        amounts: of collecting and learning.
-        seeds: the run's.
         at_least: answers that a round waits for; None waits for all environments (lockstep). An on-policy agent needs
             lockstep.
         pretraining_updates: gradient updates on the demonstrations before the first environment step.
@@ -196,9 +194,6 @@ class Learner:
     With an on-policy buffer, the agent learns once from each complete rollout.
 
     Args:
-        agent: makes the updates.
-        buffer: gives the batches and gets the priorities.
-        amounts: the batch size and the replay ratio.
         environments: number of environments, which limits the updates that may wait in async mode.
     """
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from support.parts import batch, leaf, plain, signature, suited
+from support.parts import batch, leaf, make, plain, signature, suited
 from torch import Tensor
 from torch.nn.functional import mse_loss, smooth_l1_loss
 
@@ -18,7 +18,6 @@ from karolos.agents.ppo import PPO, Gaussian, RolloutBatch
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Batch
-from karolos.core.seeding import SeedTree
 
 OPTIONS: list[dict[str, Any]] = [
     {},
@@ -63,8 +62,8 @@ def shown(action: Tensor, better: Tensor, inputs: TensorBatch, *, cloning: bool)
 @pytest.mark.parametrize("critic_only", [0, 4])
 @pytest.mark.parametrize("options", [*OPTIONS, {"critic": {}}, {"critic": {"quantiles": 5}, "imitation": 2.0}])
 def test_sacs_gradients_are_those_of_its_losses(options, critic_only):
-    settings = SAC.Settings.model_validate({**STILL, "temperature": 0.3, **options})
-    agent = SAC(settings, signature(critic_only=critic_only), SeedTree(0))
+    agent = make(SAC, signature(critic_only=critic_only), temperature=0.3, **STILL, **options)
+    settings = agent.settings
     before = agent.generator.get_state()
     agent.learn(data(critic_only))
     found = {"policy": agent.policy.gradient.clone(), "critic": agent.critic.gradient.clone()}
@@ -100,8 +99,8 @@ def test_sacs_gradients_are_those_of_its_losses(options, critic_only):
 @pytest.mark.parametrize("options", OPTIONS)
 def test_deterministic_agents_gradients_are_those_of_their_losses(agent, options):
     more = {"policy_delay": 1, "target_noise": 0.0} if agent is TD3 else {}
-    settings = agent.Settings.model_validate({**STILL, **more, **options})
-    made = agent(settings, signature(), SeedTree(0))
+    made = make(agent, **STILL, **more, **options)
+    settings = made.settings
     made.learn(data())
     found = {"policy": made.policy.gradient.clone(), "critic": made.critic.gradient.clone()}
 
@@ -119,7 +118,7 @@ def test_deterministic_agents_gradients_are_those_of_their_losses(agent, options
 
 def test_without_demonstrations_nothing_is_imitated():
     for agent in (SAC, DDPG, TD3):
-        made = agent(agent.Settings.model_validate({**STILL, "imitation": 1.0}), signature(), SeedTree(0))
+        made = make(agent, imitation=1.0, **STILL)
         assert "imitation_loss" not in made.learn(batch(64, signature()))
         none = tensor_batch(data()._replace(demonstrated=np.zeros(64, np.float32)), made.normaliser, made.device)
         assert imitation_loss(torch.ones(64, 2), torch.ones(64, dtype=torch.bool), none)[0].item() == 0
@@ -131,8 +130,8 @@ def test_dqns_gradient_is_that_of_its_loss(options, dueling):
     of, weight = suited(DQN), np.linspace(0.5, 1.5, 64)
     reward = np.linspace(-3, 3, 64)  # errors on both sides of huber's corners
     played = batch(64, of, discount=0.5, weight=weight, reward=reward)
-    settings = DQN.Settings.model_validate({**STILL, "dueling": dueling, **options})
-    agent = DQN(settings, of, SeedTree(0))
+    agent = make(DQN, dueling=dueling, **STILL, **options)
+    settings = agent.settings
     told = agent.learn(played)
     found = agent.network.gradient.clone()
 
@@ -152,10 +151,9 @@ def test_dqns_gradient_is_that_of_its_loss(options, dueling):
 @pytest.mark.parametrize("options", [{}, {"entropy": 0.3}, {"value_clip": 0.1, "clip": 0.05}])
 @pytest.mark.parametrize("discrete", [False, True])
 def test_ppos_gradients_are_those_of_its_losses(discrete, options):
-    settings = PPO.Settings.model_validate(
-        {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
-    )
-    agent = PPO(settings, signature(labels=3 * discrete), SeedTree(0))
+    chosen = {"hidden": (32, 24), "learning_rate": 1e-12, "gradient_norm": None, **options}
+    agent = make(PPO, signature(labels=3 * discrete), **chosen)
+    settings = agent.settings
     generator = torch.Generator().manual_seed(1)
 
     def noise(*size: int) -> Tensor:

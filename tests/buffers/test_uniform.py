@@ -90,9 +90,7 @@ def test_every_goal_the_strategy_names_is_drawn_over_the_ring_seam_too(strategy,
 
 @given(history=histories())
 @settings(max_examples=60)
-def test_holds_exactly_the_latest_transitions_of_each_environment(
-    history,
-):
+def test_holds_exactly_the_latest_transitions_of_each_environment(history):
     environments, max_steps, ring_size, calls = history
     buffer = make(counting_signature(max_steps), ring_size * environments, environments=environments)
     world = Counting(environments)
