@@ -35,7 +35,7 @@ def asked(controller: str) -> Iterator[Channel]:
     channel.close()
 
 
-@pytest.mark.parametrize("fault", ["protective stop", "emergency stop", "half a packet", "force"])
+@pytest.mark.parametrize("fault", ["protective stop", "emergency stop", "connection cut", "half a packet", "force"])
 def test_a_controller_that_fails_gets_no_further_set_point(fault, whole, controller, asked):
     bundle = Bundle(whole)
     driver = UR(bundle, {"host": HOST, "perception": controller, "watchdog": "1"})
@@ -55,7 +55,8 @@ def test_a_controller_that_fails_gets_no_further_set_point(fault, whole, control
     driver.send = send  # type: ignore[method-assign,assignment]
     with pytest.raises(Fault) as caught:
         executor.run(0)
-    assert caught.value.kind == {"half a packet": "connection lost"}.get(fault, fault)
+    names = {"connection cut": "connection lost", "half a packet": "connection lost"}
+    assert caught.value.kind == names.get(fault, fault)
     before = asked.ask(do="state")
     driver.wait(driver.now() + 0.5)
     after = asked.ask(do="state")
