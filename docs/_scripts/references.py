@@ -278,7 +278,17 @@ def _overview(found: dict[str, Contender]) -> str:
 
 
 def _results(found: dict[str, Contender], names: list[str]) -> str:
-    columns = ["spec", "version", "`end`, mean", "each seed", "best policy", "steps to .95", "time to .95", "in all", "targets"]
+    columns = [
+        "spec",
+        "version",
+        "`end`, mean",
+        "each seed",
+        "best policy",
+        "steps to .95",
+        "time to .95",
+        "in all",
+        "targets",
+    ]
     table = markdown(columns, [_result(name, found[name]) for name in names if name in found])
     missing = ", ".join(f"`{name}`" for name in names if name not in found)
     return f"{table}\n\nWithout a reference run: {missing}." if missing else table
@@ -297,7 +307,9 @@ def _result(name: str, one: Contender) -> list[str]:
         slow = "missed" if alone else "not shown"
         on_time = "met" if seconds is not None and seconds <= most else slow
         targets = f"{least:.2f} {'met' if min(ends) >= least else 'missed'}, {most} s {on_time}"
-    versions = sorted({RunFolder.open(REFERENCE / f"{name}-s{run.seed}").description()["versions"]["karolos"] for run in runs})
+    versions = sorted(
+        {RunFolder.open(REFERENCE / f"{name}-s{run.seed}").description()["versions"]["karolos"] for run in runs}
+    )
     return [
         f"`{name}`",
         ", ".join(versions),

@@ -1,14 +1,24 @@
-"""Gradients and bounds of the policy's distribution; tests of SAC compare its densities with torch.distributions."""
+"""The policy's distribution against torch.distributions."""
 
 import numpy as np
 import pytest
 import torch
+from torch.distributions import Independent, Normal, TanhTransform, TransformedDistribution
 
 from karolos.agents.squashed_gaussian import LOG_STD_BOUNDS, squashed
 
 
 def noise_for(head: torch.Tensor, seed: int) -> torch.Tensor:
     return torch.randn(head.shape[0], head.shape[1] // 2, generator=torch.Generator().manual_seed(seed))
+
+
+def test_log_probability_is_that_of_a_tanh_transformed_gaussian():
+    head = 0.4 * torch.randn((200, 6), generator=torch.Generator().manual_seed(0), dtype=torch.float64)
+    drawn = squashed(head, noise_for(head, 1).double())
+    mean, log_std = head.chunk(2, -1)
+    reference = TransformedDistribution(Normal(mean, log_std.exp()), TanhTransform(cache_size=1))
+    expected = Independent(reference, 1).log_prob(drawn.action)
+    torch.testing.assert_close(drawn.log_probability(), expected, rtol=1e-4, atol=1e-4)
 
 
 def test_the_gradient_is_that_of_autograd():

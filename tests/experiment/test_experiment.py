@@ -258,6 +258,12 @@ def test_jobs_below_one_are_refused(tmp_path):
         Experiment(spec()).run(tmp_path, jobs=0)
 
 
+def test_the_papers_first_listing_is_a_valid_experiment():
+    experiment = Experiment({"robot": "panda", "task": "reach", "agent": "sac"})
+    assert experiment.spec.dump()
+    assert experiment.spec.name == "panda_reach"
+
+
 def test_a_run_without_updates_says_so(tmp_path):
     without = spec(training={"warmup_episodes": 1000})
     assert "a run may make no update: 1000 warm-up episodes" in check_parts(spec_from_dict(without))
