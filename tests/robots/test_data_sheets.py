@@ -1,5 +1,6 @@
 """Forward kinematics and masses are those that the makers publish."""
 
+from collections.abc import Sequence
 from math import cos, pi, sin
 
 import numpy as np
@@ -9,39 +10,38 @@ from karolos.core import Array
 from karolos.registry import load
 from karolos.robots.panda import Panda
 
-STANDARD = {
-    # Universal Robots
-    "ur5": (
-        (0.089159, 0.0, pi / 2),
-        (0.0, -0.425, 0.0),
-        (0.0, -0.39225, 0.0),
-        (0.10915, 0.0, pi / 2),
-        (0.09465, 0.0, -pi / 2),
-        (0.0823, 0.0, 0.0),
-    ),
-    # LBR iiwa 14 R820: .36, .42, .40, and .126 to the flange
-    "iiwa": (
-        (0.36, 0.0, -pi / 2),
-        (0.0, 0.0, pi / 2),
-        (0.42, 0.0, pi / 2),
+TABLES = {
+    "panda": (  # Franka Emika's interface documentation
+        (0.0, 0.333, 0.0),
         (0.0, 0.0, -pi / 2),
-        (0.40, 0.0, -pi / 2),
+        (0.0, 0.316, pi / 2),
+        (0.0825, 0.0, pi / 2),
+        (-0.0825, 0.384, -pi / 2),
         (0.0, 0.0, pi / 2),
-        (0.126, 0.0, 0.0),
+        (0.088, 0.0, pi / 2),
+        (0.0, 0.107, 0.0),
+    ),
+    "ur5": (  # Universal Robots, from the standard convention
+        (0.0, 0.089159, 0.0),
+        (0.0, 0.0, pi / 2),
+        (-0.425, 0.0, 0.0),
+        (-0.39225, 0.10915, 0.0),
+        (0.0, 0.09465, pi / 2),
+        (0.0, 0.0823, -pi / 2),
+        (0.0, 0.0, 0.0),
+    ),
+    "iiwa": (  # LBR iiwa 14 R820: .36, .42, .40, and .126 to the flange; from the standard convention
+        (0.0, 0.36, 0.0),
+        (0.0, 0.0, -pi / 2),
+        (0.0, 0.42, pi / 2),
+        (0.0, 0.0, pi / 2),
+        (0.0, 0.40, -pi / 2),
+        (0.0, 0.0, -pi / 2),
+        (0.0, 0.126, pi / 2),
+        (0.0, 0.0, 0.0),
     ),
 }
-"""d in m, a in m and alpha of each joint, standard convention: its turn comes before them."""
-CRAIG = (
-    (0.0, 0.333, 0.0),
-    (0.0, 0.0, -pi / 2),
-    (0.0, 0.316, pi / 2),
-    (0.0825, 0.0, pi / 2),
-    (-0.0825, 0.384, -pi / 2),
-    (0.0, 0.0, pi / 2),
-    (0.088, 0.0, pi / 2),
-    (0.0, 0.107, 0.0),
-)
-"""Franka Emika's interface documentation: a, d in m and alpha of the joints and the flange, after Craig."""
+"""a, d in m and alpha of each joint and of the flange, after Craig."""
 TO_TOOL = {"panda": 0.1034, "ur5": 0.137, "iiwa": 0.137}
 """m from the flange to the tool."""
 
@@ -58,17 +58,12 @@ def moved(x: float, z: float) -> Array:
     return frame
 
 
-def flange(robot: str, pose: tuple[float, ...]) -> Array:
+def flange(robot: str, pose: Sequence[float]) -> Array:
     """The flange's frame (4, 4), straight from the table."""
-    frame = np.eye(4)
-    if robot == "panda":
-        for (a, d, alpha), angle in zip(CRAIG, (*pose, 0.0), strict=True):
-            frame = frame @ turned(alpha, "x") @ moved(a, 0) @ turned(angle, "z") @ moved(0, d)
-        return frame
-    if robot == "ur5":  # the URDF's base is that of the table turned by pi, as in ur_description
-        frame = turned(pi, "z")
-    for (d, a, alpha), angle in zip(STANDARD[robot], pose, strict=True):
-        frame = frame @ turned(angle, "z") @ moved(a, d) @ turned(alpha, "x")
+    # the base of the UR5's URDF is that of the table turned by pi, as in ur_description
+    frame = turned(pi if robot == "ur5" else 0.0, "z")
+    for (a, d, alpha), angle in zip(TABLES[robot], (*pose, 0.0), strict=True):
+        frame = frame @ turned(alpha, "x") @ moved(a, 0) @ turned(angle, "z") @ moved(0, d)
     return frame
 
 

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 from itertools import product
-from pathlib import Path
 from xml.etree.ElementTree import Element
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 from support.fourth_robot import small_arm
 from support.rig import ROBOTS
 from support.spec_files import problems_of, write
-from support.toy_runs import run_of
 
 from karolos.errors import PluginError, UsageError
 from karolos.evaluation.playing import evaluate
@@ -21,9 +19,6 @@ from karolos.plugins.contracts.robots import grasping
 from karolos.registry import load, names
 from karolos.robots.mounting import mounted
 from karolos.simulation import urdf
-from karolos.specification import load_spec
-
-SMOKE = Path(__file__).parents[2] / "specs" / "smoke" / "ur5_pick.yaml"
 
 
 def mass(robot: Element) -> float:
@@ -61,9 +56,9 @@ def test_what_cannot_be_mounted_is_refused_in_one_line(tmp_path):
 @pytest.mark.parametrize(("robot", "task"), [*product(ROBOTS, ["pick_place"]), ("ur5", "stack")])
 def test_experts_pick_and_stack_with_a_suction_cup(robot, task):
     with joined(candidate("robots", robot, gripper="vacuum"), candidate("tasks", task)) as environment:
-        count = 20 if task == "pick_place" else 2
+        count = 10 if task == "pick_place" else 2
         found = evaluate(environment, expert_policy(environment), episodes=count, seed=0)
-    assert found.success_end >= 0.95
+    assert found.success_end == 1
 
 
 @pytest.mark.parametrize(("share", "held"), [(0.9, True), (1.1, False)])
@@ -86,10 +81,3 @@ def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path)
     (line,) = problems_of(write(tmp_path, "s.yaml", text))
     expected = "s.yaml:1:29: robot.gripper: no gripper is called 'franka_hnd'; did you mean 'franka_hand'?"
     assert line.startswith(expected)
-
-
-def test_a_run_with_another_gripper_trains_and_tests(tmp_path):
-    spec = load_spec(SMOKE, ["robot.gripper=vacuum", "training.steps=60", "testing.interval=60", "testing.episodes=2"])
-    run = run_of(spec.dump(), tmp_path)
-    assert run.spec()["robot"]["gripper"] == "vacuum"
-    assert len(run.tests()) == 1

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import pytest
-from support.fourth_robot import exported_arm
+from support.fourth_robot import edit
 
 from karolos.robots.proposal import propose
 from karolos.robots.repair import Repair
@@ -18,26 +18,14 @@ MISTAKES = {
 }
 
 
-@pytest.fixture
-def arm(tmp_path: Path, quick_proposals: None) -> Path:
-    return exported_arm(tmp_path).model.urdf
-
-
-def broken(path: Path, mistakes: dict[str, str]) -> Path:
-    text = path.read_text()
-    for old, new in mistakes.items():
-        assert old in text, old
-        text = text.replace(old, new)
-    path.write_text(text)
-    return path
-
-
 def mass_of(path: Path) -> float:
     return sum(urdf.inertia_of(link)[0] for link in urdf.read(path).findall("link"))
 
 
 def test_all_mistakes_are_found_at_once_and_repaired(arm, tmp_path):
-    repair = Repair(broken(arm, MISTAKES), mass=12.0)
+    for old, new in MISTAKES.items():
+        edit(arm, old, new)
+    repair = Repair(arm, mass=12.0)
     found = [f"{finding.where.rpartition(': ')[2]}: {finding.what}" for finding in repair.findings]
     assert found[1:] == [
         "link base: there is no mesh 'package://elsewhere/mark.obj'",
@@ -81,12 +69,16 @@ def test_what_nobody_can_know_is_found_without_a_change(arm, old, new, what):
     assert not findings[-1].change
 
 
+def declare_macros(path: Path, more: str = "") -> None:
+    """Declare the prefix of xacro in a URDF, with more elements at its beginning."""
+    edit(path, "<robot([^>]*)>", rf'<robot xmlns:xacro="http://www.ros.org/wiki/xacro"\1>{more}')
+
+
 def test_macros_are_expanded_where_a_person_asks_for_it(arm):
     pytest.importorskip("xacro")
-    text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
-    first = "<robot" + text.split("<robot", 1)[1].split(">", 1)[0] + ">"
-    macro = '<xacro:property name="speed" value="${1.25 * 2}"/><xacro:property name="here" value="$(find urdf)"/>'
-    arm.write_text(text.replace(first, first + macro).replace('velocity="2.5"', 'velocity="${speed}"'))
+    edit(arm, 'velocity="2.5"', 'velocity="${speed}"')
+    here = '<xacro:property name="here" value="$(find urdf)"/>'
+    declare_macros(arm, f'<xacro:property name="speed" value="${{1.25 * 2}}"/>{here}')
     refused = Repair(arm)
     assert refused.robot is None
     assert "macros of xacro" in refused.findings[0].what
@@ -97,6 +89,5 @@ def test_macros_are_expanded_where_a_person_asks_for_it(arm):
 
 
 def test_a_file_that_only_declares_the_prefix_of_macros_needs_none(arm):
-    text = arm.read_text().replace("<robot", '<robot xmlns:xacro="http://www.ros.org/wiki/xacro"', 1)
-    arm.write_text(text)
+    declare_macros(arm)
     assert not Repair(arm, expand=True).findings

@@ -4,6 +4,7 @@ It works to its left instead of ahead, in a workspace smaller than the square of
 to the axes of the world: what a task must not take for granted.
 """
 
+import re
 from dataclasses import replace
 from math import pi
 from pathlib import Path
@@ -142,6 +143,13 @@ def exported_arm(folder: Path) -> type[Arm]:
         model = replace(small.model, urdf=path)
 
     return Exported
+
+
+def edit(path: Path, pattern: str, new: str) -> None:
+    """Replace every match of a pattern in a file. There has to be one."""
+    text, count = re.subn(pattern, new, path.read_text())
+    assert count, pattern
+    path.write_text(text)
 
 
 def _fixed(parent: str, child: str, place: str) -> str:

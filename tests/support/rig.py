@@ -8,6 +8,8 @@ from karolos.environments.robot_task import RobotTask
 from karolos.registry import load
 from karolos.simulation.engines import ENGINES as KNOWN
 from karolos.simulation.engines import Engine, make_world
+from karolos.simulation.geometry import UPRIGHT, Quaternion, Vector
+from karolos.simulation.shapes import Cuboid
 from karolos.specification.parts import Part, Recipe
 from support.closing import opened
 
@@ -61,6 +63,19 @@ def made(task: str, robot: str = "panda", **how: Any) -> RobotTask:
 def world(engine: Engine, **how: Any) -> Any:
     """An empty world."""
     return opened(make_world(engine, **how))
+
+
+def run(world: Any, steps: int) -> None:
+    """Simulate control steps."""
+    for _ in range(steps):
+        world.step()
+
+
+def box(world: Any, place: Vector, edge: float = 0.04, mass: float = 0.1, turn: Quaternion = UPRIGHT) -> Any:
+    """A red cube at this place."""
+    body = world.body([Cuboid((edge, edge, edge))], mass, (1.0, 0.0, 0.0, 1.0))
+    body.place(place, turn)
+    return body
 
 
 def values(*listed: float) -> Part:
