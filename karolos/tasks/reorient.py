@@ -84,6 +84,16 @@ class ReorientSettings(CubeSettings):
         json_schema_extra=LATER,
         description="least height of goals in the air above the object's on the floor, m",
     )
+    topple_cost: float = Setting(
+        0.0,
+        ge=0,
+        le=1,
+        json_schema_extra=LATER,
+        description="cost of each step in which an object lies that stood at the start; it cannot be put up again",
+    )
+    end_toppled: Probability = Setting(
+        0.0, json_schema_extra=LATER, description="probability that an episode ends when the object topples"
+    )
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
     start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")
@@ -149,10 +159,12 @@ class Reorient(CubeTask):
     Goals: achieved, position (3, m) and rotation (6, the first two columns of its matrix) of the object; desired, the
     same of the goal.
     Reward: sparse -1 until the goal is reached, then 0; dense minus the distance in m, minus .1 m per rad of the angle.
+    Minus `topple_cost` while an object lies that stood at the start.
     What counts as success: the object lies within `threshold` of the goal and is turned by less than `angle_threshold`
     from it. A half turn about each axis does not change a box. Turns about its length and reversal do not change a
     cylinder.
-    Termination: never; the episode is truncated after `max_steps`.
+    Termination: never; the episode is truncated after `max_steps`, with probability `end_toppled` already when the object
+    topples; as a parameter of domain randomization only in training.
     """
 
     Settings = ReorientSettings
@@ -165,6 +177,11 @@ class Reorient(CubeTask):
     achieved_goal = Layout(pose_fields("object"))
     desired_goal = Layout(pose_fields("goal"))
     cube: Piece
+
+    def __init__(self, settings: ReorientSettings) -> None:
+        super().__init__(settings)
+        low, high = self.extra_reward_range
+        self.extra_reward_range = low - settings.topple_cost, high
 
     def fit(self, robot: RobotView) -> None:
         self._robot, settings = robot, self.settings
@@ -234,6 +251,20 @@ class Reorient(CubeTask):
             if not self.goal_rule.success(start_pose, self.goal):
                 break
         self._marker.place(self.goal_position)
+        self._lies = lies
+        # sampled only if it is set: what is sampled later in an episode stays the same without it
+        self._ends = self.drawn.end_toppled > 0 and generator.uniform() < self.drawn.end_toppled
+
+    @property
+    def toppled(self) -> bool:
+        """Whether the object stood at the start and lies now."""
+        return not self._lies and abs(axes(self.cube.orientation)[2][2]) < UPWARDS
+
+    def over(self) -> bool:
+        return self._ends and self.toppled
+
+    def extra_reward(self) -> float:
+        return super().extra_reward() - self.settings.topple_cost * self.toppled
 
     def achieved(self) -> FloatArray:
         return pose_array(self.cube.position, self.cube.orientation)

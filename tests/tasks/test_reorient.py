@@ -5,6 +5,7 @@ import pytest
 from support.rig import expert_episode, made, values
 
 from karolos.simulation.geometry import axes
+from karolos.tasks.reorient import LYING
 
 
 def test_the_expert_brings_a_cylinder_to_its_pose():
@@ -58,3 +59,23 @@ def test_training_may_start_with_the_gripper_right_over_the_object_turned_away_a
     assert min(openings) < 0.3
     assert max(openings) > 0.7
     assert max(apart) > 0.5
+
+
+def test_a_box_that_has_toppled_costs_more_and_may_end_the_episode():
+    environment = made("reorient", topple_cost=0.5, lying=0.0, draws={"task.end_toppled": values(1.0)})
+    still = np.zeros(environment.signature.action.size, np.float32)
+    environment.reset(0)
+    piece = environment.task.cube
+    standing = environment.step(still)
+    assert (standing.reward, standing.truncated) == (-1.0, False)
+    piece.place((*piece.position[:2], piece.edges[0] / 2), LYING)
+    lying = environment.step(still)
+    assert (lying.reward, lying.truncated, lying.terminated) == (-1.5, True, False)
+    assert environment.signature.extra_reward == (-0.5, 0.0)
+
+
+def test_a_box_that_lies_at_the_start_has_not_toppled():
+    environment = made("reorient", topple_cost=0.5, lying=1.0)
+    environment.reset(0)
+    step = environment.step(np.zeros(environment.signature.action.size, np.float32))
+    assert (step.reward, step.truncated) == (-1.0, False)
