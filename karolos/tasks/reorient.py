@@ -163,8 +163,8 @@ class Reorient(CubeTask):
     What counts as success: the object lies within `threshold` of the goal and is turned by less than `angle_threshold`
     from it. A half turn about each axis does not change a box. Turns about its length and reversal do not change a
     cylinder.
-    Termination: never; the episode is truncated after `max_steps`, with probability `end_toppled` already when the object
-    topples; as a parameter of domain randomization only in training.
+    Termination: never; the episode is truncated after `max_steps`, with probability `end_toppled` already when the
+    object topples; as a parameter of domain randomization only in training.
     """
 
     Settings = ReorientSettings
