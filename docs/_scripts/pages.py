@@ -45,7 +45,7 @@ TASKS = {
     "insert": ("insert",),
     "stack": ("stack", "stack_demos"),
     "slide": ("slide", "slide_demos"),
-    "reorient": ("reorient_demos",),
+    "reorient": ("reorient", "reorient_demos"),
     "open": ("open",),
 }
 """Task -> its specs, without the robot."""

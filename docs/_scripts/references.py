@@ -58,6 +58,7 @@ TARGETS = {
     "stack_demos": (0.95, 180),
     "slide": (0.93, 600),
     "slide_demos": (0.95, 600),
+    "reorient": (0.95, 900),
     "reorient_demos": (0.95, 900),
     "open": (0.95, 300),
 }
