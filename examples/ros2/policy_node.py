@@ -63,7 +63,7 @@ class Cell:
         reading = Reading(*self.joints, self.wrench, self.opening, dict(self.measured))
         at = self.bundle.chain.at(reading.positions)
         if not self.begun:
-            self.watch.start(reading, self.bundle.contract)
+            self.watch.start(reading)
             self.motion.reset(reading.positions, at)
             self.begun = True
         if self.watch.look(reading, now):

@@ -80,5 +80,6 @@ def test_every_promise_is_kept(who, monkeypatch):
         monkeypatch.setattr(module, name, number)
     found = list(results(PROMISES[who]()))
     assert found
-    assert pairs.the_task_refuses_the_robot not in {case.promise for case, _ in found}, "no installed pair is refused"
+    if "bullet" not in who:  # without impedance control nothing can be inserted
+        assert pairs.the_task_refuses_the_robot not in {case.promise for case, _ in found}
     assert [f"{case}: {problem}" for case, problem in found if problem is not None] == []
