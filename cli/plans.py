@@ -108,9 +108,8 @@ def report_sweep(sweep: SweepRecord, front: Sequence[Trial], *, quiet: bool, jso
 def _trial_row(trial: Trial, sweep: SweepRecord) -> dict[str, Any]:
     """A trial as a row: state, objectives, settings, error, runs.
 
-    After the final choice each objective has two more: `fresh` on the seeds of the choice, and for the chosen trial
-    `unused`
-    on the reporting seeds.
+    After the final choice each objective has two more columns: `fresh` on the seeds of the choice, and `unused` on the
+    reporting seeds, which only the chosen trial has.
     """
     row: dict[str, Any] = {"trial": trial.number, "state": trial.state}
     final = sweep.final

@@ -55,7 +55,10 @@ def median_time(times: ArrayLike, reached: ArrayLike) -> _Floats:
 def median_reaching(places: Sequence[float | None]) -> float | None:
     """Median over seeds of the steps or seconds to a threshold; a seed that never reached it counts as infinite.
 
-    It equals `median_time` if all runs are equally long, and is larger if one was aborted. None if it is infinite.
+    It equals `median_time` if all runs are equally long, and is larger if one was aborted. None if it is infinite or
+    there are no seeds.
     """
+    if not places:
+        return None
     middle = float(median(math.inf if place is None else place for place in places))
     return middle if math.isfinite(middle) else None

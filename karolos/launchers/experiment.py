@@ -164,7 +164,7 @@ def resume_run(
 ) -> Outcome:
     """Resume one run from its newest checkpoint, bit for bit in lockstep. A finished run is returned as it is.
 
-    With overrides a finished run is continued by a new run: see `continued_spec`.
+    With overrides a finished run is continued by a new run: see `continued_spec`. `time_limit` is in s from now.
 
     Raises:
         RunError: another process is running it, or no checkpoint can be used.

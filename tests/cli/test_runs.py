@@ -80,6 +80,7 @@ def test_a_group_has_one_run_per_seed_and_counts_those_that_never_reach_95(runs)
         ("seed<9", None, "1 of 4"),
         ("seed in (2, 3)", None, "1 of 2"),
         ("seed=2", 1000, "1 of 1"),
+        ("seed=0", None, None),
     ):
         [group] = rows("list", chosen, "--group")
         assert (group["steps_to_95"], group["reached_95"]) == (median, reached)

@@ -173,7 +173,15 @@ def test_median_of_runs_of_which_some_never_got_there(times, reached, median):
 
 @pytest.mark.parametrize(
     ("places", "median"),
-    [([10, 30, None], 30), ([10, None, None], None), ([10, 20], 15), ([10, None], None), ([None], None), ([7], 7)],
+    [
+        ([10, 30, None], 30),
+        ([10, None, None], None),
+        ([10, 20], 15),
+        ([10, None], None),
+        ([None], None),
+        ([7], 7),
+        ([], None),
+    ],
 )
 def test_seeds_that_never_reach_a_threshold_count_last(places, median):
     assert median_reaching(places) == median

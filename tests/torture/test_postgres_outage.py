@@ -1,6 +1,6 @@
 """Kill and restart the PostgreSQL server that many runs write to at the same time; a long test.
 
-Each run is a command of its own, which writes the index itself. The server (tests/servers/postgres) is killed when each
+Each run is a command of its own, which writes the index itself. The server (tests/scripts/postgres) is killed when each
 run has tested, and started again after some seconds. Every command has to end with 0 and a finished run.
 `karolos db reindex` enters the tests of the outage, and `karolos db check` then says nothing.
 """

@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Print test episodes of policies that ship, in MuJoCo, without PyTorch: python tests/servers/episodes.py.
+"""Print test episodes of policies that ship, in MuJoCo, without PyTorch: python tests/scripts/episodes.py.
 
 One line per episode, with the sha256 of every observation, goal and reward. Two Pythons on one machine print the same.
 """
