@@ -45,7 +45,7 @@ def test_shipped_spec_fits_the_schema_and_loads_again_as_its_copy_does(tmp_path,
         assert set(spec.origins.values()) != {"default"}
 
 
-GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place throw"}
+GENERAL = {"ppo": "reach push pick_place throw", "sac_grasp": "push pick_place stack"}
 """The tasks of bases that set none."""
 GENERAL["sac_hindsight"] = GENERAL["ppo"]
 BESIDE = {"arms": "karolos:bases/pick.yaml, "}
@@ -186,4 +186,4 @@ def test_a_setting_that_came_later_is_in_the_hash_if_it_is_not_at_its_default():
     ]
     assert hashes[0] == hashes[1] != hashes[2]
     # of 0.2, where `lift` was not known
-    assert load_spec("panda_push").hash() == "0155b65e23306c65b6f1150e1ef3640b0807b73b3e6769122e2f0594647ec392"
+    assert load_spec("panda_pick").hash() == "7819fa20d515613a8afdcde75ffa587d1a85b75028ab9d68ad0c16535be29fce"
