@@ -26,6 +26,7 @@ SEEDS = 2
 """Of each trial; reaching, which takes seconds, has five."""
 STEPS = {
     "reach": 2_000,
+    "push": 30_000,
     "throw": 40_000,
     "stack_demos": 20_000,
     "slide_demos": 40_000,
