@@ -186,4 +186,4 @@ def test_a_setting_that_came_later_is_in_the_hash_if_it_is_not_at_its_default():
     ]
     assert hashes[0] == hashes[1] != hashes[2]
     # of 0.2, where `lift` was not known
-    assert load_spec("panda_pick").hash() == "7819fa20d515613a8afdcde75ffa587d1a85b75028ab9d68ad0c16535be29fce"
+    assert load_spec("panda_push").hash() == "0155b65e23306c65b6f1150e1ef3640b0807b73b3e6769122e2f0594647ec392"
