@@ -28,6 +28,7 @@ STEPS = {
     "reach": 2_000,
     "push": 30_000,
     "throw": 40_000,
+    "insert": 40_000,
     "stack_demos": 20_000,
     "slide_demos": 40_000,
     "open": 40_000,
