@@ -31,7 +31,6 @@ STEPS = {
     "insert": 40_000,
     "stack_demos": 20_000,
     "slide_demos": 40_000,
-    "open": 40_000,
 }
 """Task, as in the name of a spec -> the steps of a trial: where the shipped spec has learned, or nearly."""
 TRIALS: dict[str, tuple[str, ...]] = {
