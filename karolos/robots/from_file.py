@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from contextlib import suppress
 from dataclasses import asdict, replace
 from functools import lru_cache
@@ -123,7 +124,8 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made
     try:
         found = propose(used, gripper, known)
     except PluginError as error:  # the user knows the file, not the copy
-        where = error.where and error.where.replace(str(used), str(path))
+        lines = r"(:\d+)?" if used != path else ""  # those of the copy
+        where = error.where and re.sub(re.escape(str(used)) + lines, lambda _: str(path), error.where)
         raise PluginError(error.what, where=where, hint=error.hint) from None
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:

@@ -77,8 +77,8 @@ class Repair:
         self.robot: Element | None = None
         try:
             if path.suffix.lower() in MJCF:
-                text = ElementTree.tostring(arm(path.absolute(), USUAL_SPEED), "unicode")
-                change = f"{USUAL_SPEED:g} rad/s; write the data sheet's into a URDF"
+                text = ElementTree.tostring(arm(path.absolute(), USUAL_SPEED, USUAL_SLIDE), "unicode")
+                change = f"{USUAL_SPEED:g} rad/s, slides {USUAL_SLIDE:g} m/s; write the data sheet's into a URDF"
                 self.findings.append(Finding(str(path), "MJCF has no speeds of joints", change))
             else:
                 text = urdf.text_of(path)
@@ -107,7 +107,8 @@ class Repair:
         return ElementTree.tostring(self.robot, "unicode")
 
     def _found(self, element: Element, what: str, change: str = "") -> None:
-        place = f"{self.path}:{self._lines.get(element, 0)}: {element.tag} {element.get('name')}"
+        line = "" if self.path.suffix.lower() in MJCF else f":{self._lines.get(element, 0)}"
+        place = f"{self.path}{line}: {element.tag} {element.get('name')}"
         self.findings.append(Finding(place, what, change))
 
     def _declared(self, text: str) -> str:

@@ -3,10 +3,11 @@
 Known elements of MJCF, all others are refused: <mujoco> with <compiler angle meshdir assetdir>, <asset> with <mesh name
 file scale>, <default> with classes, and one <body> in <worldbody>, which is the base. A body has name, pos, quat or
 euler, childclass, further bodies, at most one <joint> (name, type hinge or slide, pos, axis, range, damping,
-frictionloss), at most one <inertial> (pos, quat, mass, diaginertia), and <geom> (type, size, pos, quat or euler,
-fromto, mesh, mass or density). Parts that are only drawn or measured are left out: geoms with contype and conaffinity
-0, materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an <inertial>, its
-inertia is that of its geoms, each with its own mass. As in MuJoCo, geoms that are only drawn also have a mass.
+frictionloss), at most one <inertial> (pos, quat, mass, diaginertia or fullinertia), and <geom> (type, size, pos, quat
+or euler, fromto, mesh, mass or density). Parts that are only drawn or measured are left out: geoms with contype and
+conaffinity 0, materials, cameras, lights, sites, sensors, options. A link has the name of its joint. Without an
+<inertial>, its inertia is that of its geoms, each with its own mass. As in MuJoCo, geoms that are only drawn also have
+a mass.
 """
 
 from __future__ import annotations
@@ -39,13 +40,20 @@ _ATTRIBUTES = {
     "mesh": "name class file scale smoothnormal maxhullvert",
     "body": "name childclass pos quat euler",
     "joint": "name class type pos axis range limited damping frictionloss",
-    "inertial": "pos quat mass diaginertia",
+    "inertial": "pos quat mass diaginertia fullinertia",
     "geom": "name class type size pos quat euler fromto mesh mass density rgba material friction group condim contype "
     "conaffinity",
 }
 """Known attributes and parts of each element of MJCF."""
 DENSITY = 1000.0
 """Density in kg/m3 of a geom in MJCF without a mass."""
+_ACTUATORS = {"general", "motor", "position", "velocity", "intvelocity", "damper", "cylinder", "muscle", "adhesion"}
+"""Elements that share their defaults in MJCF."""
+_TURNS = ("quat", "euler", "axisangle", "xyaxes", "zaxis")
+"""Attributes that give an orientation in MJCF."""
+_LOST = {"include", "replicate", "attach", "composite", "flexcomp"}
+"""Elements of MJCF that make bodies."""
+ONE_FILE = "mujoco writes one file: s = mujoco.MjSpec.from_file(FILE); s.compile(); s.to_xml()"
 
 
 def read(path: Path, collision: meshes.Collision | None = None) -> Mechanism:
@@ -94,13 +102,14 @@ def hulls(robot: Element) -> dict[str, str]:
     return found
 
 
-def arm(path: Path, speed: float) -> Element:
+def arm(path: Path, speed: float, slide: float) -> Element:
     """The URDF of an arm in an MJCF file, with absolute names of meshes. Elements unknown to fixtures are left out.
 
     Its torques are those of its actuators, or limits of its joints; MJCF has no speeds.
 
     Args:
-        speed: of all joints, in rad/s.
+        speed: of turning joints, in rad/s.
+        slide: the same of sliding joints, in m/s.
 
     Raises PluginError if it is not an MJCF file of one arm. The message names element and line.
     """
@@ -112,12 +121,13 @@ def arm(path: Path, speed: float) -> Element:
     list(reader.links())
     torques: dict[str, float] = {}
     for actuator in root.iterfind("actuator/*"):
+        reader.complete_actuator(actuator)
         limits = actuator.get("forcerange") or (actuator.get("ctrlrange") if actuator.tag == "motor" else None)
         gear = (urdf.numbers(actuator.get("gear", "1")) or [1.0])[0]
         torques[actuator.get("joint", "")] = max(map(abs, urdf.numbers(limits or "0") or [0.0])) * abs(gear)
     for joint in reader.robot.iterfind("joint"):
         for limit in joint.findall("limit"):
-            limit.set("velocity", repr(speed))
+            limit.set("velocity", repr(slide if joint.get("type") == "prismatic" else speed))
             if torque := torques.get(joint.get("name", "")):
                 limit.set("effort", repr(torque))
     return reader.robot
@@ -126,13 +136,16 @@ def arm(path: Path, speed: float) -> Element:
 class _MjcfReader:
     """Reads the links of an MJCF file."""
 
+    _bodies = "body"
+    """Elements that hold shapes and further bodies."""
+
     def __init__(
         self, path: Path, collision: meshes.Collision | None, root: Element, lines: dict[Element, int]
     ) -> None:
         self._path, self._collision, self._root, self._lines = path, collision, root, lines
         self._files: dict[str, tuple[Path, float] | PluginError] = {}
         """Files of meshes and their scales; an error counts only if a shape needs the mesh."""
-        self._degree = np.pi / 180
+        self._degree, self._sequence = np.pi / 180, "xyz"
         self._usual: dict[str, dict[str, dict[str, str]]] = {"main": {}}
         """Default attributes of elements: by class, and by kind of element."""
 
@@ -146,14 +159,18 @@ class _MjcfReader:
             if part.tag == "compiler":
                 folder = self._path.parent / part.get("meshdir", part.get("assetdir", folder))
                 self._degree = {"radian": 1.0, "degree": np.pi / 180}.get(part.get("angle", ""), self._degree)
+                self._sequence = part.get("eulerseq", self._sequence)
+                if len(self._sequence) != 3 or not {*self._sequence} <= {*"xyzXYZ"}:
+                    raise self._error(part, f"its eulerseq is {urdf.short(self._sequence)}", "three of xyzXYZ")
             for mesh in self._parts(part, "mesh") if part.tag == "asset" else ():
                 self._complete(mesh, "main")
                 file, scale = folder / mesh.get("file", ""), self._numbers(mesh, "scale", (1.0, 1.0, 1.0))
                 usable = file.is_file() and file.suffix.lower() in meshes.MESH_SUFFIXES and not np.ptp(scale)
-                needs = f"it needs a file of {', '.join(meshes.MESH_SUFFIXES)}, and one scale for all axes"
+                usable = usable and not {"refpos", "refquat"} & mesh.attrib.keys()
+                needs = f"it needs a file of {', '.join(meshes.MESH_SUFFIXES)}, one scale for all axes, and no refpos"
                 found = (file, float(scale[0])) if usable else self._error(mesh, needs)
                 self._files[mesh.get("name", file.stem)] = found
-            bodies += self._parts(part, "body") if part.tag == "worldbody" else []
+            bodies += self._parts(part, self._bodies) if part.tag == "worldbody" else []
         yield from self._body(self._base(bodies), "", np.zeros(3), "main")
 
     def _base(self, bodies: Sequence[Element]) -> Element:
@@ -169,6 +186,8 @@ class _MjcfReader:
             if part.tag in ("geom", "joint", "mesh"):
                 self._parts(part, "")
                 own.setdefault(part.tag, {}).update(part.attrib)
+            elif part.tag in _ACTUATORS:
+                own.setdefault("actuator", {}).update(part.attrib)
         self._usual[name] = own
         for part in default.findall("default"):
             self._learn(part, part.get("class", ""), own)
@@ -178,9 +197,9 @@ class _MjcfReader:
         name = element.get("class", usual)
         if name not in self._usual:
             raise self._error(element, f"there is no class {urdf.short(name)}")
-        turned = "quat" in element.attrib or "euler" in element.attrib
+        turned = any(key in element.attrib for key in _TURNS)
         for key, value in self._usual[name].get(element.tag, {}).items():
-            if not (turned and key in ("quat", "euler")):
+            if not (turned and key in _TURNS):
                 element.attrib.setdefault(key, value)
 
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
@@ -235,6 +254,10 @@ class _MjcfReader:
         """Mass and inertia of an <inertial> in the frame at `pivot` (3,) of its body."""
         centre, axes = self._pose(inertial)
         moments = self._numbers(inertial, "diaginertia", (0.0,) * 3)
+        if "fullinertia" in inertial.attrib:
+            a, b, c, d, e, f = self._numbers(inertial, "fullinertia", (0.0,) * 6)
+            moments, turn = np.linalg.eigh([[a, d, e], [d, b, f], [e, f, c]])
+            axes = quaternion_of(matrix_of(axes) @ turn * np.sign(np.linalg.det(turn)))
         return self._number(inertial, "mass", 0.0), Inertia(vector(centre - pivot), vector(moments), axes)
 
     def _shape(self, geom: Element, pivot: Array, collision: meshes.Collision | None) -> Shape:
@@ -271,12 +294,32 @@ class _MjcfReader:
         """Position (3,) and rotation of an element."""
         w, x, y, z = self._numbers(element, "quat", (1.0, 0.0, 0.0, 0.0)).tolist()
         if "euler" in element.attrib:  # MuJoCo's order: about x, then the new y, then the new z
-            a, b, c = self._numbers(element, "euler", (0.0,) * 3) * self._degree
-            x_, y_, z_ = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
-            x, y, z, w = quaternion_of(urdf.about(x_, a) @ urdf.about(y_, b) @ urdf.about(z_, c))
+            turn = np.eye(3)
+            for angle, name in zip(self._numbers(element, "euler", (0.0,) * 3), self._sequence, strict=True):
+                one = urdf.about(vector(np.eye(3)["xyz".index(name.lower())]), angle * self._degree)
+                turn = turn @ one if name.islower() else one @ turn  # capitals: about the axes of the parent
+            x, y, z, w = quaternion_of(turn)
+        elif "axisangle" in element.attrib:
+            *axis, angle = self._numbers(element, "axisangle", (0.0, 0.0, 1.0, 0.0))
+            length = float(np.linalg.norm(axis)) or 1.0
+            x, y, z, w = quaternion_of(urdf.about(vector(np.divide(axis, length)), angle * self._degree))
+        elif "xyaxes" in element.attrib:
+            ahead, across = self._numbers(element, "xyaxes", (0.0,) * 6).reshape(2, 3)
+            x, y, z, w = self._turned(element, np.cross(ahead, across), ahead)
+        elif "zaxis" in element.attrib:  # MuJoCo's: the shortest turn from z
+            along = self._numbers(element, "zaxis", (0.0,) * 3)
+            x, y, z, w = -along[1], along[0], 0.0, along[2] + float(np.linalg.norm(along))
+            x, y, z, w = (x, y, z, w) if any((x, y, w)) else (1.0, 0.0, 0.0, 0.0)
         if not any((w, x, y, z)):
             raise self._error(element, "its quat is 0")
         return self._numbers(element, "pos", (0.0, 0.0, 0.0)), (x, y, z, w)
+
+    def _turned(self, element: Element, z: Array, x: Array) -> Quaternion:
+        """The rotation with these directions of z and x. Raises PluginError if they are parallel or 0."""
+        if not (np.linalg.norm(z) > 0 and np.linalg.norm(x) > 0):
+            raise self._error(element, "its xyaxes are parallel, or 0")
+        ahead, up = x / np.linalg.norm(x), z / np.linalg.norm(z)
+        return quaternion_of(np.column_stack([ahead, np.cross(up, ahead), up]))
 
     def _number(self, element: Element, key: str, usual: float) -> float:
         return float(self._numbers(element, key, (usual,))[0])
@@ -315,52 +358,106 @@ class _MjcfArm(_MjcfReader):
 
     robot: Element
     """What `links` fills."""
+    _bodies = "body frame"
 
     def _base(self, bodies: Sequence[Element]) -> Element:
-        if len(bodies) < 2:
-            return super()._base(bodies)
-        both = Element("body", name="world")  # two arms side by side; the user chooses one by its tool
-        both.extend(bodies)
-        return both
+        if not bodies:
+            included = self._root.find(".//include") is not None
+            what = f"no bodies in <worldbody>{', but an <include>' * included}"
+            raise self._error(self._root, what, ONE_FILE if included else "an arm is a tree of bodies")
+        first, *others = bodies
+        placed = any(key in first.attrib for key in ("pos", *_TURNS)) or first.find("joint") is not None
+        if not others and not placed:
+            return first
+        world = Element("body", name="world")  # of two arms side by side the user chooses one by its tool
+        world.extend(bodies)
+        return world
+
+    def complete_actuator(self, actuator: Element) -> None:
+        """Give an actuator the attributes of its class."""
+        for key, value in self._usual.get(actuator.get("class", "main"), {}).get("actuator", {}).items():
+            actuator.attrib.setdefault(key, value)
 
     def _body(self, body: Element, parent: str, offset: Array, usual: str) -> Iterator[Link]:
-        parts, usual = self._parts(body, "joint inertial geom body"), body.get("childclass", usual)
+        parts, usual = self._parts(body, f"joint inertial geom {self._bodies}"), body.get("childclass", usual)
         for part in parts:
             self._complete(part, usual)
-        joints = [part for part in parts if part.tag == "joint"]
-        if len(joints) > 1:
-            raise self._error(body, f"one body has {len(joints)} joints", "a body of an arm has one joint")
+        for part in body:
+            if part.tag in _LOST:
+                raise self._error(part, f"<{part.tag}> in <{body.tag}> is not known to karolos", ONE_FILE)
+            if part.tag == "inertial":  # then shapes have no mass, nor have those of frames
+                for geom in (geom for frame in body.findall("frame") for geom in _shapes_of(frame)):
+                    geom.set("mass", "0")
+        joints = [part for part in parts if part.tag == "joint" and part.get("type") != "free"]
+        if len(joints) > 1 or (joints and body.tag == "frame"):
+            raise self._error(body, f"one {body.tag} has {len(joints)} joints", "a body of an arm has one joint")
         pivot = self._numbers(joints[0], "pos", (0.0, 0.0, 0.0)) if joints else np.zeros(3)
         name, (place, turn) = body.get("name", f"body{len(self.robot)}"), self._pose(body)
+        self._add_link(name, parts, pivot)
+        if parent:
+            title = joints[0].get("name", f"{name}_joint") if joints else f"{name}_fixed"
+            made = SubElement(self.robot, "joint", name=title, type="fixed")
+            SubElement(made, "parent", link=parent)
+            SubElement(made, "child", link=name)
+            origin = place - offset + matrix_of(turn) @ pivot
+            for joint in joints:
+                origin, turn = self._move(made, joint, origin, turn)
+            place_element(made, vector(origin), turn)
+        for part in parts:
+            if part.tag in self._bodies.split():
+                yield from self._body(part, name, pivot, usual)
+
+    def _add_link(self, name: str, parts: Sequence[Element], pivot: Array) -> None:
+        """Add the link of a body with these parts. Its frame is at `pivot` (3,) of the body."""
         drawn = [geom for geom in parts if geom.tag == "geom"]
         solid = [geom for geom in drawn if (geom.get("contype"), geom.get("conaffinity")) != ("0", "0")] or drawn
         shapes = [self._shape(geom, pivot, "convex") for geom in solid]
-        mass, inertia = sum(self._number(geom, "mass", 0.0) for geom in drawn), None
-        for inertial in (part for part in parts if part.tag == "inertial"):
+        inertials, mass, inertia = [part for part in parts if part.tag == "inertial"], 0.0, None
+        solids, masses = list[Shape](), list[float]()
+        for geom in () if inertials else drawn:
+            if geom in solid or not isinstance(self._files.get(geom.get("mesh", "")), PluginError):
+                solids.append(shapes[solid.index(geom)] if geom in solid else self._shape(geom, pivot, "convex"))
+                density = self._number(geom, "density", DENSITY)
+                masses.append(self._number(geom, "mass", density * volume_of(solids[-1:])))
+        if (mass := sum(masses)) > 0:
+            inertia = inertia_of(solids, mass, masses)
+        for inertial in inertials:
             mass, inertia = self._inertial(inertial, pivot)
         self.robot.append(link_element(name, shapes, mass, inertia, GREY))
-        if parent:
-            kind = {"hinge": "revolute", "slide": "prismatic"}[joints[0].get("type", "hinge")] if joints else "fixed"
-            title = joints[0].get("name", f"{name}_joint") if joints else f"{name}_fixed"
-            made = SubElement(self.robot, "joint", name=title, type=kind)
-            SubElement(made, "parent", link=parent)
-            SubElement(made, "child", link=name)
-            place_element(made, vector(place - offset + matrix_of(turn) @ pivot), turn)
-            for joint in joints:
-                scale = self._degree if kind == "revolute" else 1.0
-                low, high = (self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale).tolist()
-                axis = self._numbers(joint, "axis", (0.0, 0.0, 1.0))
-                SubElement(made, "axis", xyz=" ".join(map(repr, axis.tolist())))
-                torque = self._numbers(joint, "actuatorfrcrange", (0.0, 0.0))
-                SubElement(made, "limit", lower=repr(low), upper=repr(high), effort=repr(float(np.abs(torque).max())))
-                damping, friction = (self._number(joint, key, 0.0) for key in ("damping", "frictionloss"))
-                SubElement(made, "dynamics", damping=repr(damping), friction=repr(friction))
-        for part in parts:
-            if part.tag == "body":
-                yield from self._body(part, name, pivot, usual)
+
+    def _move(self, made: Element, joint: Element, origin: Array, turn: Quaternion) -> tuple[Array, Quaternion]:
+        """Make a fixed joint of the URDF this joint. Returns its origin at position 0: the file has it at `ref`."""
+        kind = {"hinge": "revolute", "slide": "prismatic"}.get(joint.get("type", "hinge"))
+        if kind is None:
+            raise self._error(joint, f"a {joint.get('type')} joint", "joints of an arm are hinges and slides")
+        made.set("type", kind)
+        scale = self._degree if kind == "revolute" else 1.0
+        if joint.get("limited") == "false":
+            joint.attrib.pop("range", None)
+        low, high = (self._numbers(joint, "range", (-2 * np.pi / scale, 2 * np.pi / scale)) * scale).tolist()
+        axis = self._numbers(joint, "axis", (0.0, 0.0, 1.0))
+        SubElement(made, "axis", xyz=" ".join(map(repr, axis.tolist())))
+        torque = self._numbers(joint, "actuatorfrcrange", (0.0, 0.0))
+        SubElement(made, "limit", lower=repr(low), upper=repr(high), effort=repr(float(np.abs(torque).max())))
+        damping, friction = (self._number(joint, key, 0.0) for key in ("damping", "frictionloss"))
+        SubElement(made, "dynamics", damping=repr(damping), friction=repr(friction))
+        back = -scale * self._number(joint, "ref", 0.0)
+        if not back or not axis.any():
+            return origin, turn
+        along = axis / np.linalg.norm(axis)
+        if kind == "prismatic":
+            return origin + matrix_of(turn) @ along * back, turn
+        return origin, quaternion_of(matrix_of(turn) @ urdf.about(vector(along), back))
 
     def _parts(self, element: Element, known: str) -> list[Element]:
         return [part for part in element if part.tag in known.split()]
+
+
+def _shapes_of(frame: Element) -> Iterator[Element]:
+    """The shapes of a frame and of all frames in it."""
+    yield from frame.findall("geom")
+    for inner in frame.findall("frame"):
+        yield from _shapes_of(inner)
 
 
 def _from_z(along: Array) -> Quaternion:

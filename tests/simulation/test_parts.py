@@ -5,6 +5,7 @@ import sys
 import warnings
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -288,6 +289,72 @@ def test_masses_and_classes_of_mjcf_are_those_of_its_own_compiler(tmp_path):
         [limit], [dynamics] = joint.findall("limit"), joint.findall("dynamics")
         assert float(limit.get("upper", "")) == pytest.approx(model.jnt_range[number][1])
         assert dynamics.get("damping") == "0.5"
+
+
+ARM = """
+<mujoco><compiler angle="degree" eulerseq="zYx"/>
+<default><default class="big"><joint range="-100 90"/><general forcerange="-87 87"/></default></default>
+<worldbody><body name="b1" pos=".1 .2 .8" zaxis="1 1 1">
+  <joint name="j1" class="big" axis="0 1 2" pos="0 .1 0" ref="20"/>
+  <inertial pos="0 0 .1" mass="2" fullinertia=".02 .03 .025 .001 -.002 .003"/>
+  <frame pos="0 0 .2" euler="10 20 30"><geom type="box" size=".1 .02 .02" mass="5"/>
+    <body name="b2" xyaxes="0 1 0 -1 0 0.5"><joint name="j2" type="slide" ref=".03" range="-1 1" axis="1 1 0"/>
+      <geom size=".03" pos=".1 0 0" density="500"/><geom type="capsule" size=".02" fromto="0 0 0 0 .2 0"/>
+      <geom size=".05" contype="0" conaffinity="0" mass=".1"/>
+      <body name="b3" pos="0 0 .3" axisangle="1 2 3 40"><joint name="j3" limited="false" range="0 1"/><geom size=".04"/>
+      </body></body></frame></body></worldbody>
+<actuator><general class="big" joint="j1"/><motor joint="j2" ctrlrange="-3 3" gear="4"/></actuator></mujoco>
+"""
+
+
+def test_an_arm_of_mjcf_is_where_its_own_compiler_has_it_and_weighs_as_much(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    (path := tmp_path / "arm.xml").write_text(ARM)
+    model = mujoco.MjModel.from_xml_string(ARM)
+    text = ElementTree.tostring(fixtures.arm(path, 2.0, 0.1), "unicode")
+    found, data = urdf.load(path, strict=False, text=text), mujoco.MjData(model)
+    assert [joint.name for joint in found.joints] == ["j1", "j2", "j3"], "the joint of the outermost body, too"
+    data.qpos[:] = (0.3, -0.2, 0.5)
+    mujoco.mj_kinematics(model, data)
+    place, turn = np.zeros(3), np.eye(3)
+    for number, (joint, position) in enumerate(zip(found.joints, data.qpos, strict=True)):
+        place, turn = place + turn @ joint.origin, turn @ np.array(joint.rotation)
+        assert turn @ joint.axis == pytest.approx(data.xaxis[number], abs=1e-9)
+        if joint.revolute:
+            assert place == pytest.approx(data.xanchor[number], abs=1e-9)
+            turn = turn @ urdf.about(joint.axis, position)
+        place = place + turn @ joint.axis * position * (not joint.revolute)
+        link = next(one for one in found.robot.findall("link") if one.get("name") == joint.child)
+        mass, centre, tensor = urdf.inertia_of(link)
+        body = model.jnt_bodyid[number]
+        there = data.ximat[body].reshape(3, 3)
+        assert mass == pytest.approx(model.body_mass[body], rel=1e-9)
+        assert place + turn @ centre == pytest.approx(data.xipos[body], abs=1e-9)
+        moved = there @ np.diag(model.body_inertia[body]) @ there.T
+        assert turn @ tensor @ turn.T == pytest.approx(moved, rel=1e-6, abs=1e-9)
+    assert [joint.effort for joint in found.joints] == [87.0, 12.0, 0.0]
+    assert [joint.velocity for joint in found.joints] == [2.0, 0.1, 2.0]
+    assert (found.joints[0].lower, found.joints[2].upper) == pytest.approx((np.radians(-100), 2 * np.pi))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        (
+            "<frame pos",
+            "<replicate/><frame pos",
+            "<replicate> in <body> is not known to karolos; mujoco writes",
+        ),
+        ('type="slide"', 'type="ball"', "joint j2: a ball joint; joints of an arm are hinges and slides"),
+        ('"zYx"', '"xy"', "xml:2: compiler: its eulerseq is 'xy'; three of xyzXYZ"),
+        ("0 1 0 -1 0 0.5", "0 1 0 0 2 0", "body b2: its xyaxes are parallel, or 0"),
+        ("body", "beam", "no bodies in <worldbody>; an arm is a tree of bodies"),
+    ],
+)
+def test_what_of_an_arm_in_mjcf_would_be_lost_is_refused(old, new, said, tmp_path):
+    (path := tmp_path / "arm.xml").write_text(ARM.replace(old, new).replace("worldbeam", "worldbody"))
+    with pytest.raises(PluginError, match=re.escape(said)):
+        fixtures.arm(path, 2.0, 0.1)
 
 
 @pytest.mark.parametrize(
