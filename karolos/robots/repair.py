@@ -153,7 +153,7 @@ class Repair:
                     link.remove(shape)
 
     def _unreadable(self, path: Path, mesh: Element) -> str:
-        """Why a mesh cannot be used; empty if it can. A mesh in millimetres is scaled."""
+        """Why a mesh cannot be used; empty if it can."""
         if path.suffix.lower() not in MESH_SUFFIXES:
             return f"cannot read the mesh {path.name}: meshes end in {', '.join(MESH_SUFFIXES)}"
         try:
@@ -195,13 +195,17 @@ class Repair:
             if np.linalg.eigvalsh(tensor)[0] < urdf.LEAST_INERTIA:
                 self._found(links[name], "its inertia is not positive definite", "that of its convex hull")
                 _set_inertia(links[name], weight, solids[name])
+                for other in (other for other, carrier in loose.carriers.items() if carrier == name != other):
+                    for old in links[other].findall("inertial"):  # the hull has the mass of all that is fixed to it
+                        links[other].remove(old)
         if mass is not None and there and not without and abs(there / mass - 1) > 0.01:
             what = f"its links weigh {there:.4g} kg together, the data sheet says {mass:g}"
             self.findings.append(
                 Finding(str(self.path), what, f"masses and inertias are multiplied by {mass / there:.3g}")
             )
-            for one in [*robot.iter("mass"), *robot.iter("inertia")]:
-                one.attrib.update({key: repr(float(value) * mass / there) for key, value in one.attrib.items()})
+            for one in (one for part in ("mass", "inertia") for one in robot.iterfind(f"link/inertial/{part}")):
+                numbers = {key: urdf.numbers(value) for key, value in one.attrib.items()}
+                one.attrib.update({key: repr(value[0] * mass / there) for key, value in numbers.items() if value})
 
     def _limit(self, element: Element, joint: urdf.Joint, loose: urdf.Description) -> None:
         """Give a joint its missing limits."""
@@ -212,13 +216,14 @@ class Repair:
         if joint.effort <= 0:
             held = self._held(joint, loose) if joint.revolute else USUAL_FORCE / HELD
             how = f"{HELD:g} times what holds the stretched arm" if joint.revolute else "assumed"
-            lacking["effort"] = how, HELD * held
+            lacking["effort"] = how, HELD * held + joint.friction
         if joint.velocity <= 0:
             lacking["velocity"] = "assumed; write the data sheet's", USUAL_SPEED if joint.revolute else USUAL_SLIDE
         if not joint.lower < joint.upper and element.get("type") != "continuous":
             lacking |= {"lower": ("assumed", -pi), "upper": ("assumed", pi)} if joint.revolute else {}
         for key, (how, value) in lacking.items():
-            self._found(element, f"its {key} is {limit.get(key, 'missing')}", f"{value:.3g}: {how}")
+            dry = f", of which friction takes {joint.friction:g}" if key == "effort" and joint.friction else ""
+            self._found(element, f"its {key} is {limit.get(key, 'missing')}{dry}", f"{value:.3g}: {how}")
             limit.set(key, f"{value:.6g}")
 
     def _held(self, joint: urdf.Joint, loose: urdf.Description) -> float:

@@ -252,7 +252,8 @@ def check_size(path: Path, scale: float | Sequence[float]) -> None:
     """Refuse a mesh whose size in m shows a wrong unit. Raises PluginError."""
     size = float((np.ptp(triangles(path).reshape(-1, 3), axis=0) * np.abs(scale)).max())
     if not LEAST_PART <= size <= LARGEST_PART:
-        hint = "in millimetres? set scale: 0.001" if size > LARGEST_PART else "is it in metres already?"
+        set_ = "scale: 0.001" if isinstance(scale, float) else 'scale="0.001 0.001 0.001"'
+        hint = f"in millimetres? set {set_}" if size > LARGEST_PART else "is it in metres already?"
         raise PluginError(f"a part of {size:.3g} m", where=str(path), hint=hint)
 
 

@@ -166,12 +166,18 @@ def text_of(path: Path) -> str:
 
 
 def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
-    """The root of an XML file with this text, and the line of each element. Raises PluginError if it is not XML."""
+    """The root of an XML file with this text, and the line of each element. Raises PluginError if it is not XML.
+
+    Elements of the root's namespace, as in Drake's files, have their plain names.
+    """
     lines: dict[Element, int] = {}
+    spaces: list[str] = []
     builder, parser = ElementTree.TreeBuilder(), expat.ParserCreate("utf-8", "}")
 
     def start(tag: str, attributes: dict[str, str]) -> None:
-        lines[builder.start(tag, attributes)] = parser.CurrentLineNumber
+        space, _, name = tag.rpartition("}")
+        spaces.append(space)
+        lines[builder.start(name if space == spaces[0] else tag, attributes)] = parser.CurrentLineNumber
 
     def refuse_entity(name: str, *_: object) -> None:  # a few lines of them can expand to gigabytes
         raise PluginError(
@@ -179,7 +185,11 @@ def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
             where=f"{path}:{parser.CurrentLineNumber}",
         )
 
-    parser.StartElementHandler, parser.EndElementHandler = start, builder.end
+    def end(tag: str) -> None:
+        space, _, name = tag.rpartition("}")
+        builder.end(name if space == spaces[0] else tag)
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
     parser.EntityDeclHandler = refuse_entity
     try:
         parser.Parse(text.encode(), True)
@@ -485,8 +495,11 @@ def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dic
 def _make_simple(element: Element, slide: bool) -> None:
     """Convert a continuous joint to a revolute one, and shift the range of a gripper's slide so that it begins at 0."""
     limit = element.find("limit")
+    if limit is None and element.get("type") == "continuous":  # which needs none
+        limit = ElementTree.SubElement(element, "limit")
     if limit is None:
         return
+    limit.attrib = {"lower": "0", "upper": "0"} | limit.attrib  # as the format says
     if element.get("type") == "continuous":
         element.set("type", "revolute")
         limit.set("lower", repr(-CONTINUOUS_RANGE))

@@ -53,6 +53,28 @@ def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm, tmp_path):
     assert mass_of(tmp_path / "copy.urdf") == pytest.approx(20.0)
 
 
+def test_a_repaired_inertia_keeps_the_mass_of_what_is_fixed_to_its_link(arm, tmp_path):
+    edit(arm, 'ixx="0.0008" iyy="0.0008" izz="0.0008"', 'ixx="0" iyy="0" izz="0"')
+    tool = '<joint name="hold" type="fixed"><parent link="link5"/><child link="tool"/></joint>'
+    edit(arm, "</robot>", f'<link name="tool"><inertial><mass value="0.5"/></inertial></link>{tool}</robot>')
+    repair = Repair(arm)
+    assert "link5: its inertia is not positive definite" in f"{repair.findings[0].where}: {repair.findings[0].what}"
+    before = mass_of(arm)
+    repair.write(tmp_path / "copy.urdf")
+    assert mass_of(tmp_path / "copy.urdf") == pytest.approx(before)
+
+
+def test_a_repaired_motor_moves_its_dry_friction_too_and_other_attributes_of_a_mass_stay(arm, tmp_path):
+    edit(arm, 'effort="60"', 'effort="30"')
+    edit(arm, '<limit ([^>]*effort="30")', r'<dynamics friction="400"/><limit \1')
+    edit(arm, '<mass value="1.2"/>', '<mass value="1.2" unit="kg"/>')
+    repair = Repair(arm, mass=20.0)
+    assert "its effort is 30, of which friction takes 400" in {finding.what for finding in repair.findings}
+    repair.write(tmp_path / "copy.urdf")
+    assert not Repair(tmp_path / "copy.urdf").findings
+    assert mass_of(tmp_path / "copy.urdf") == pytest.approx(20.0)
+
+
 @pytest.mark.parametrize(
     ("old", "new", "what"),
     [

@@ -82,6 +82,15 @@ def test_the_base_of_a_mobile_robot_stands_still_and_a_wrong_colour_is_left_out(
     assert (found.stopped, found.joints, found.robot.find("material/color")) == (("j",), (), None)
 
 
+def test_a_file_with_a_namespace_of_its_own_and_without_what_the_format_adds_is_read(load, tmp_path):
+    text = robot(A, B, turning("j", "a", "b", LIMIT.replace('lower="0" ', "")))
+    [joint] = load(text.replace("<robot>", '<robot xmlns="http://drake.mit.edu">')).joints
+    assert (joint.lower, joint.upper) == (0.0, 1.0)
+    (tmp_path / "wheel.urdf").write_text(robot(A, B, turning("j", "a", "b", "").replace("revolute", "continuous")))
+    [joint] = urdf.load(tmp_path / "wheel.urdf", driven=False).joints
+    assert (joint.lower, joint.upper) == (-urdf.CONTINUOUS_RANGE, urdf.CONTINUOUS_RANGE)
+
+
 J = turning("j", "a", "b")
 LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, velocity > 0; .* exporters leave zeros"
 
