@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations, product
-from math import atan2, cos, pi, sin
+from math import acos, atan2, cos, pi, sin
 from typing import NamedTuple
 
 import numpy as np
@@ -172,6 +172,10 @@ class Poses:
     def shoulder(self) -> float:
         """Height in m of the second joint above the floor."""
         return float(self.chain.forward(self.rest.tolist()).axes[8])
+
+    def off_vertical(self, pose: Sequence[float]) -> float:
+        """Angle in rad between the direction of approach and the direction down."""
+        return acos(min(max(-self.chain.forward(pose).tool.z[2], -1.0), 1.0))
 
     def at(self, home: Sequence[float], workspace: Box | None = None) -> Place:
         """The place of a known home pose, with its workspace if that is known, too."""

@@ -18,7 +18,7 @@ from xml.sax.saxutils import escape, quoteattr
 import numpy as np
 
 from ..core import Array
-from ..errors import PluginError
+from ..errors import PluginError, UsageError
 from ..registry import load
 from ..simulation import urdf
 from ..simulation.fixtures import hulls
@@ -67,6 +67,8 @@ SHOULDERS = (0.3, 0.6)
 """Heights of the second joint above a table, per length of the arm: standing, and hanging."""
 PAD_DEPTH = 0.01
 """Distance in m from the tips of the fingers to the tool centre point."""
+OFF_VERTICAL = 0.2
+"""Largest angle in rad between the tool at a known home and the direction down."""
 USUAL_STEP: float = ArmSettings.model_fields["tool_step"].default
 """Length in m."""
 HIDDEN_DEPTH = 0.01
@@ -136,7 +138,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     Raises:
         PluginError: the file is not a robot that karolos can simulate, or not an arm that can point its tool down. The
             message names the joint or link.
-        UsageError: the gripper is unknown, or too heavy.
+        UsageError: the gripper is unknown, or too heavy, or a known home or workspace does not fit the arm.
     """
     found, locked, still, beyond = _read(path, known, cut=gripper is not None)
     joints = [joint for joint in found.joints if joint.revolute]
@@ -258,6 +260,7 @@ def _read(
         if joint.mimic is None or joint.mimic in moving
     }
     found = urdf.load(path, tuple(sorted(locked.items())), slides, without=without)
+    _check_known(known, [joint for joint in found.joints if joint.revolute])
     return found, locked, [*found.stopped, *(joint.name for joint in still)], beyond
 
 
@@ -300,6 +303,9 @@ class _Site:
         """
         home, workspace = self._known.home, self._known.workspace
         if home is not None:
+            if (off := self.poses.off_vertical(home)) > OFF_VERTICAL:
+                what = f"the tool points {off:.2f} rad away from down"
+                raise UsageError(what, setting="robot.home", hint="at home z of the tool frame points down")
             return self.poses.at(home, workspace)
         found, first = self.poses.best(), self.poses
         ahead = found is not None and found.room > LEAST and found.tool[0] > abs(found.tool[1])
@@ -391,6 +397,16 @@ def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str]
     )
     fingers = textwrap.indent(pformat(hand.fingers, width=100), " " * 16).lstrip()
     return {"tool": repr(_vector(place)), "fingers": fingers, "height": repr(height)}, notes
+
+
+def _check_known(known: Known, joints: Sequence[Joint]) -> None:
+    """Refuse a home for other joints, and a workspace without volume. Raises UsageError."""
+    if known.home is not None and len(known.home) != len(joints):
+        what = f"{len(known.home)} positions for the joints {', '.join(joint.name for joint in joints)}"
+        raise UsageError(what, setting="robot.home", hint=f"{len(joints)} positions in rad")
+    if known.workspace is not None and not np.less(known.workspace.low, known.workspace.high).all():
+        what = f"no box from {_metres(known.workspace.low)} to {_metres(known.workspace.high)} m"
+        raise UsageError(what, setting="robot.workspace", hint="the lower corner first: [[x, y, z], [x, y, z]]")
 
 
 def _metres(place: Sequence[float] | Array) -> str:

@@ -120,6 +120,25 @@ def test_what_a_person_knows_is_not_assumed(arm):
         robot_of(arm, gripper="robotiq_2f85", payload=0.1)
 
 
+@pytest.mark.parametrize(
+    ("known", "said"),
+    [
+        ({"home": [0.1, 0.2]}, "robot.home: 2 positions for the joints joint1, joint2, .*; 6 positions in rad"),
+        (
+            {"home": [0.0] * 6},
+            r"robot.home: the tool points \S+ rad away from down; at home z of",
+        ),
+        (
+            {"workspace": [[0.5, 0.1, 0.3], [0.3, -0.1, 0.1]]},
+            "robot.workspace: no box from 0.500 .* lower corner",
+        ),
+    ],
+)
+def test_a_home_or_workspace_that_does_not_fit_is_refused_at_its_setting(arm, known, said):
+    with pytest.raises(UsageError, match=said):
+        robot_of(arm, **known)
+
+
 def test_a_copy_of_a_file_and_its_meshes_is_the_same_experiment(arm, tmp_path):
     text = arm.read_text().replace("package://small_description/meshes", "../meshes")
     for path, content in {arm: text, arm.with_name("package.urdf"): arm.read_text()}.items():
