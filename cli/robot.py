@@ -40,7 +40,7 @@ def check(
         str | None, typer.Option(metavar="LINK", help="Link that carries the gripper, with z away from the arm.")
     ] = None,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the whole arm by its data sheet.")
+        float | None, typer.Option(min=0.01, max=100_000, metavar="KG", help="Mass of the whole arm by its data sheet.")
     ] = None,
     repair: Annotated[Path | None, typer.Option(metavar="FILE", help="Write a repaired copy of the file.")] = None,
     promises: Annotated[bool, typer.Option(help="Also check the contract of robots.")] = True,
@@ -93,7 +93,8 @@ def score(
     ] = "ur5",
     episodes: Annotated[int, typer.Option(min=1, help="Episodes of each policy.")] = 100,
     mass: Annotated[
-        float | None, typer.Option(min=0.01, metavar="KG", help="Mass of the arm, used if its file needs repair.")
+        float | None,
+        typer.Option(min=0.01, max=100_000, metavar="KG", help="Mass of the arm, used if its file needs repair."),
     ] = None,
     tool: Annotated[
         str | None, typer.Option(metavar="LINK", help="Link of the tool frame, in a file of two arms.")

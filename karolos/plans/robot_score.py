@@ -24,6 +24,7 @@ from ..evaluation.zero_shot import changed_test, final_of, keep
 from ..records import RunFolder, scan
 from ..records.run_records import part_name
 from ..records.shipped import FOLDER, is_shipped, shipped_names
+from ..registry import load
 from ..report.page import Section, document
 from ..report.tables import Columns, Table, count, success
 from ..report.video import write_film
@@ -217,6 +218,8 @@ def file_overrides(
         mass: of the arm in kg, used if the file needs repair.
         tool: link at the end of the arm, in a file of two arms; None: the file says it.
     """
+    if gripper is not None:
+        load("grippers", gripper)
     path = file_of(file)
     settings: dict[str, Any] = {"file": str(path if str(path).startswith(INSTALLED) else path.absolute())}
     settings |= {"tool": tool} if tool is not None else {}

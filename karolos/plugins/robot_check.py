@@ -7,9 +7,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
-from ..errors import KarolosError
+from ..errors import KarolosError, UsageError
+from ..registry import load
 from ..robots.from_file import FromFile, proposal_of
-from ..robots.repair import Finding, Repair
+from ..robots.repair import MJCF, Finding, Repair
 from .contracts import candidate, cases, results
 from .inspection import picture
 
@@ -23,8 +24,13 @@ def check_file(
     """Errors, assumptions and doubts of an arm's file, and the promises that it breaks.
 
     A file that cannot be used as it is is replaced by its copy `repaired`, if that can be used. `mass` is the arm's by
-    its data sheet, in kg; `known` are settings of the robot `urdf`. Raises MachineError if the copy cannot be written.
+    its data sheet, in kg; `known` are settings of the robot `urdf`. Raises MachineError if the copy cannot be written,
+    and UsageError for an unknown gripper and for a copy that would replace the file or is not named as a URDF.
     """
+    if known.get("gripper") is not None:
+        load("grippers", known["gripper"])
+    if repaired is not None and (repaired.suffix.lower() in MJCF or repaired.absolute() == path.absolute()):
+        raise UsageError(f"--repair: the copy cannot be {repaired}", hint="it is a URDF of its own: NAME.urdf")
     repair = Repair(path, mass, expand=repaired is not None)
     for finding in repair.findings:
         yield {"kind": "wrong", **asdict(finding)}

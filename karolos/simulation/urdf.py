@@ -213,7 +213,8 @@ class _Source:
             hint = f"`karolos robot check {path.name} --repair robot.urdf` expands them"
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
         if root.tag != "robot" or root.find("link") is None:
-            raise PluginError("not a URDF: it needs a <robot> with links", where=str(path))
+            one = f"`karolos robot check {path.name} --repair robot.urdf` writes one" if root.tag == "mujoco" else None
+            raise PluginError("not a URDF: it needs a <robot> with links", where=str(path), hint=one)
         if len(root.findall("link")) > MOST_LINKS:
             raise PluginError(f"more than {MOST_LINKS} links", where=str(path))
         self.robot = self._checked(root)

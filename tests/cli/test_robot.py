@@ -35,6 +35,26 @@ def test_a_check_tells_everything_at_once_and_goes_on_with_the_repaired_copy(arm
     assert "read (No such file or directory); pip install arms" in told
 
 
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("check", "--gripper", "nope"), "no gripper is called 'nope'; installed grippers: franka_hand"),
+        (("score", "--gripper", "nope"), "no gripper is called 'nope'; installed grippers: franka_hand"),
+        (("check", "--repair", "arm.xml"), "--repair: the copy cannot be arm.xml; it is a URDF of its own"),
+        (("check", "--mass", "inf"), "--mass"),
+    ],
+)
+def test_an_option_that_cannot_be_meant_is_refused(arm, arguments, said):
+    command, *options = arguments
+    assert said in refused("robot", command, arm, *options)
+
+
+def test_the_copy_of_a_repair_never_replaces_the_file(arm):
+    before = arm.read_text()
+    refused("robot", "check", arm, "--repair", arm)
+    assert arm.read_text() == before
+
+
 def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
     [row] = rows("robot", "score", arm, "--policies", "ur5_reach", "--episodes", 2)
     assert (row["task"], row["episodes"], row["refused"]) == ("reach", 2, None)
