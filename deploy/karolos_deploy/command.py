@@ -55,6 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
 
 
 def _run(given: argparse.Namespace) -> int:
+    if given.episodes < 1:
+        raise BundleError(f"--episodes {given.episodes}: at least 1")
     bundle = Bundle(given.bundle, onnx=given.onnx)
     if given.replay is not None:
         cycles, error = replay(bundle, given.replay)
@@ -69,7 +71,7 @@ def _run(given: argparse.Namespace) -> int:
     except ValueError:
         raise BundleError("--set takes NAME=VALUE, and --goal numbers separated by commas") from None
     driver = find(given.driver)(bundle, settings)
-    rate = given.rate or (500 if given.driver == "ur" else 240)
+    rate = given.rate if given.rate is not None else (500 if given.driver == "ur" else 240)
     executor = Executor(bundle, driver, rate=rate, log=given.log)
     outcomes = []
     try:

@@ -79,6 +79,7 @@ class Executor:
         """
         outcome = Outcome()
         collecting = gc.isenabled()
+        self.driver.late = self.late
         try:
             told = self.driver.begin(episode, move=move)
             wanted = self._goal(told if goal is None else goal)
@@ -98,7 +99,8 @@ class Executor:
         if given is None:
             return np.asarray(self.bundle.episode()["desired_goal"][0])
         if len(given) != size or not np.isfinite(given).all():
-            raise BundleError(f"the goal has {len(given)} numbers; it needs {size}, see the page of the bundle")
+            numbers = " ".join(f"{one:g}" for one in given)
+            raise BundleError(f"the goal is {numbers}; it needs {size} finite numbers, see the page of the bundle")
         return np.array(given, np.float32)
 
     def _first(self, watch: Watch) -> Reading:
@@ -162,7 +164,10 @@ class Log:
         sizes = {"now": 1, "time": 1, "step": 1, "goal": goal, "positions": joints, "velocities": joints, "wrench": 6}
         sizes |= {"opening": 1, **{f"measured_{name}": size for name, size in self._measured.items()}}
         sizes |= {"set_point": self._size}
-        self._file: IO[bytes] = path.open("wb")
+        try:
+            self._file: IO[bytes] = path.open("wb")
+        except OSError as error:
+            raise BundleError(f"the log {path} cannot be written: {error.strerror}") from None
         head = {"format": 1, "run": contract["run"]["id"], "rate": rate, "columns": sizes}
         self._file.write(json.dumps(head).encode() + b"\n")
 
@@ -179,10 +184,15 @@ class Log:
 
 
 def read_log(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
-    """The first line of a log, and its columns by name; a torn last row is left out."""
-    first, _, rest = path.read_bytes().partition(b"\n")
-    head: dict[str, Any] = json.loads(first)
-    width = sum(head["columns"].values())
+    """The first line of a log, and its columns by name; a torn last row is left out. Raises BundleError."""
+    try:
+        first, _, rest = path.read_bytes().partition(b"\n")
+        head: dict[str, Any] = json.loads(first)
+        width = sum(head["columns"].values())
+    except OSError as error:
+        raise BundleError(f"the log {path} cannot be read: {error.strerror}") from None
+    except (ValueError, TypeError, KeyError):
+        raise BundleError(f"{path} is not a log; `--log FILE` writes one") from None
     rows = np.frombuffer(rest[: len(rest) // (8 * width) * 8 * width]).reshape(-1, width)
     ends = np.cumsum([0, *head["columns"].values()])
     return head, {name: rows[:, low:high] for name, low, high in zip(head["columns"], ends, ends[1:], strict=False)}

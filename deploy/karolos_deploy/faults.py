@@ -121,7 +121,8 @@ class Watch:
             if name not in reading.measured:
                 raise Fault("not measured", f"no camera or fixture gives {name}, which the policy observes")
         numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
-        numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time]), **reading.measured}
+        numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time])}
+        numbers |= {name: reading.measured[name] for name in self._measured}
         for name, values in numbers.items():
             size = self._columns.get(name, (np.size(values), ""))[0]
             if name in ("positions", "velocities"):
@@ -139,8 +140,8 @@ class Watch:
         if way.max() > JOINT_JUMP:
             joint = int(way.argmax())
             raise Fault("jump", f"joint {self._names[joint]} moved by {way[joint]:.3f} rad, faster than it can")
-        for name, values in reading.measured.items():
+        for name in self._measured:  # cameras may give more
             if self._columns[name][1] == "m" and name in before.measured:
-                far = float(np.linalg.norm(np.subtract(values, before.measured[name])))
+                far = float(np.linalg.norm(np.subtract(reading.measured[name], before.measured[name])))
                 if far > SEEN_JUMP + 3 * passed:
                     raise Fault("jump", f"{name} moved by {far:.3f} m between two readings")

@@ -133,8 +133,8 @@ class Observer:
             "joint_rooms": np.column_stack((reading.positions - self._lower, self._upper - reading.positions)),
             "joint_speeds": self._period * reading.velocities / self._step,
             "joint_accelerations": np.minimum(self._period**2 * self._acceleration / self._step, 1),
-            **reading.measured,
         }
+        known = {**reading.measured, **known}  # cameras may give more, but they do not replace what the joints say
         for one in self.fields:
             known[one["name"]] = self._value(one, known)
         return np.concatenate([known[one["name"]] for one in self.fields]).astype(np.float32)

@@ -3,12 +3,16 @@
 import json
 import signal
 import socket
+import socketserver
 import threading
+import time
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
-from karolos_deploy import Bundle, BundleError, Executor, Fault, command
+from karolos_deploy import Bundle, BundleError, Executor, Fault, Reading, command
+from karolos_deploy.drivers.sensors import Sensors
 from karolos_deploy.drivers.simulation import Channel
 from karolos_deploy.executor import read_log, replay
 from support.drivers import BROKEN, Obedient
@@ -43,6 +47,67 @@ def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards
         assert not hasattr(made[0], "sent")
 
 
+class Camera(socketserver.StreamRequestHandler):
+    """Cameras that answer twice as they should, then once with `answer`, then never."""
+
+    answer = ""
+
+    def handle(self) -> None:
+        good = '{"measured": {"object_position": [0.1, 0.2, 0.3], "temperature": [20]}}'
+        for answer in (good, good, self.answer or good):
+            if not self.rfile.readline():
+                return
+            self.wfile.write(answer.encode() + b"\n")
+        self.rfile.read()
+
+
+@pytest.mark.parametrize(
+    ("answer", "said"),
+    [
+        ("", "late reading: the cameras gave nothing new for .* ms, allowed are 50"),
+        ("{}", "not measured: the cameras do not answer"),
+        ('{"measured": [1]}', "not measured: the cameras do not answer"),
+        ('{"measured": {"object_position": [1, [2]]}}', "not a number: object_position of the cameras is no list"),
+        ('{"measured": {"object_position": "left"}}', "not a number: object_position of the cameras is no list"),
+    ],
+)
+def test_cameras_that_say_nothing_new_or_no_numbers_are_a_fault(answer, said):
+    kind = type("Answering", (Camera,), {"answer": answer})
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), kind) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        sensors = Sensors(f"127.0.0.1:{server.server_address[1]}", None)
+        late = 60.0 if answer else 0.05
+
+        def watch() -> None:
+            for _ in range(1000):
+                sensors.check(late)
+                time.sleep(0.01)
+
+        with pytest.raises(Fault, match=said):
+            watch()
+        server.shutdown()
+        sensors.close()
+        thread.join()
+
+
+def test_what_cameras_give_in_addition_changes_nothing(whole, monkeypatch, capsys):
+    class Talkative(Obedient):
+        def read(self) -> Reading | None:
+            told = super().read()
+            assert told is not None
+            return replace(
+                told, measured={**told.measured, "tool_position": np.ones(3) * self.time, "heat": np.ones(1)}
+            )
+
+    actions = []
+    for kind in (Obedient, Talkative):
+        driven_by(kind, monkeypatch)
+        assert command.main([str(whole), "--rate", "125"]) == 0
+        actions.append(capsys.readouterr().out)
+    assert actions[0] == actions[1]
+
+
 def test_a_signal_stops_the_robot_with_one_line(whole, monkeypatch, capsys):
     class Signalled(Obedient):
         def send(self, point: Any) -> None:
@@ -57,7 +122,13 @@ def test_a_signal_stops_the_robot_with_one_line(whole, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize(
-    ("answer", "kind"), [(b"", "connection lost"), (b'{"time": 1', "connection lost"), (b"{12\n", "half a packet")]
+    ("answer", "kind"),
+    [
+        (b"", "connection lost"),
+        (b'{"time": 1', "connection lost"),
+        (b"{12\n", "half a packet"),
+        (b"[1, 2]\n", "half a packet"),
+    ],
 )
 def test_a_connection_that_is_cut_or_says_half_a_packet_is_a_fault(answer, kind):
     with socket.create_server(("127.0.0.1", 0)) as waiting:
@@ -136,8 +207,14 @@ def test_onnxruntime_acts_as_numpy_does(whole):
     [
         (["--set", "fault"], "--set takes NAME=VALUE"),
         (["--set", "speed=1"], "the driver has no setting speed"),
-        (["--goal", "1,2", "--move"], "the goal has 2 numbers; it needs 3"),
+        (["--goal", "1,2", "--move"], "the goal is 1 2; it needs 3 finite numbers"),
+        (["--goal", "nan,0,0", "--move"], "the goal is nan 0 0; it needs 3 finite numbers"),
         (["--rate", "5"], "a rate of 5 Hz is not possible"),
+        (["--rate", "0"], "a rate of 0 Hz is not possible"),
+        (["--episodes", "0"], "--episodes 0: at least 1"),
+        (["--log", "none/log"], "the log none/log cannot be written: No such file"),
+        (["--replay", "none/log"], "the log none/log cannot be read: No such file"),
+        (["--replay", __file__], "is not a log; `--log FILE` writes one"),
         (["--driver", "kuka"], "no driver is called 'kuka'"),
     ],
 )

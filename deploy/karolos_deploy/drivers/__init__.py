@@ -37,6 +37,8 @@ class Driver:
     """Fraction of the joints' accelerations that set points use. The rest is for following them."""
     rate: float
     """Set points per second; the executor sets it."""
+    late: float = float("inf")
+    """Largest age in s of the data of gripper and cameras; the executor sets it."""
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         self.bundle = bundle

@@ -135,7 +135,7 @@ class Franka(SensedDriver):
                 raise Fault("connection lost", "the controller's clock stands still")
 
     def read(self) -> Reading | None:
-        self._sensors.check()
+        self._sensors.check(self.late)
         state = self._state()
         self._positions = np.array(state.q)
         back = self.bundle.chain.at(self._positions).rotation.T

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import threading
+import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -16,6 +17,22 @@ from .simulation import Channel
 
 RATE = 125.0
 """Number of requests per second."""
+GRIPPER_LATE = 1.0
+"""Largest age in s of the gripper's opening. Grippers tell it some times per second."""
+
+
+def measured_of(answer: Mapping[str, Any]) -> dict[str, Array]:
+    """The measured fields in an answer of the cameras. Raises Fault if it has none, or no numbers."""
+    fields = answer.get("measured")
+    if not isinstance(fields, dict):
+        raise Fault("not measured", 'the cameras do not answer {"measured": {"NAME": [numbers]}}')
+    found = {}
+    for name, values in fields.items():
+        try:
+            found[name] = np.array(values, float)
+        except (TypeError, ValueError):
+            raise Fault("not a number", f"{name} of the cameras is no list of numbers") from None
+    return found
 
 
 class SensedDriver(Driver):
@@ -42,7 +59,7 @@ class SensedDriver(Driver):
 
 
 class Sensors:
-    """Reads gripper and cameras in a thread.
+    """Reads gripper and cameras in a thread each.
 
     Args:
         perception: HOST:PORT of the source of measured fields, see docs/deploy.md; empty: none.
@@ -55,32 +72,50 @@ class Sensors:
         self.wanted: float | None = None
         """Commanded opening of the gripper."""
         self._gripper = gripper
+        self._told: float | None = None
         self._failed: Fault | None = None
         self._ended = threading.Event()
         self._perception = Channel(perception) if perception else None
-        self._thread = threading.Thread(target=self._ask, daemon=True)
-        self._thread.start()
+        tasks = {"the cameras": self._see, "the gripper": self._grip}  # none waits for the other
+        asked = zip(tasks, (self._perception, gripper), strict=True)
+        self._heard = {name: time.perf_counter() for name, source in asked if source is not None}
+        """Time of the newest data in s, by its source."""
+        self._threads = [
+            threading.Thread(target=self._repeat, args=(name, tasks[name]), daemon=True) for name in self._heard
+        ]
+        for thread in self._threads:
+            thread.start()
 
-    def _ask(self) -> None:
-        told: float | None = None
+    def _repeat(self, name: str, task: Callable[[], None]) -> None:
         try:
             while not self._ended.wait(1 / RATE):
-                if self._gripper is not None:
-                    wanted = self.wanted
-                    self.opening = self._gripper(wanted if wanted != told else None)
-                    told = wanted
-                if self._perception is not None:
-                    answer = self._perception.ask(do="measured")["measured"]
-                    self.measured = {name: np.array(values) for name, values in answer.items()}
-        except (OSError, ValueError, IndexError):
-            self._failed = Fault("connection lost", "the gripper does not answer")
+                task()
+                self._heard[name] = time.perf_counter()
         except Fault as fault:
             self._failed = fault
 
-    def check(self) -> None:
-        """Raise Fault if gripper or cameras have failed."""
+    def _grip(self) -> None:
+        assert self._gripper is not None
+        wanted = self.wanted
+        try:
+            self.opening = self._gripper(wanted if wanted != self._told else None)
+        except (OSError, ValueError, IndexError):
+            raise Fault("connection lost", "the gripper does not answer") from None
+        self._told = wanted
+
+    def _see(self) -> None:
+        assert self._perception is not None
+        self.measured = measured_of(self._perception.ask(do="measured"))
+
+    def check(self, late: float) -> None:
+        """Raise Fault if gripper or cameras have failed, or gave nothing new for `late` s (`GRIPPER_LATE`)."""
         if self._failed is not None:
             raise self._failed
+        for name, heard in self._heard.items():
+            age, most = time.perf_counter() - heard, max(late, GRIPPER_LATE) if name == "the gripper" else late
+            if age > most:
+                what = f"{name} gave nothing new for {1000 * age:.0f} ms, allowed are {1000 * most:.0f}"
+                raise Fault("late reading", what)
 
     def begin(self, episode: int) -> list[float] | None:
         """Begin an episode. Returns its goal, if the cameras know one."""
@@ -96,6 +131,7 @@ class Sensors:
     def close(self) -> None:
         """Stop reading."""
         self._ended.set()
-        self._thread.join(1.0)
+        for thread in self._threads:
+            thread.join(1.0)
         if self._perception is not None:
             self._perception.close()

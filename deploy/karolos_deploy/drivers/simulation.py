@@ -12,6 +12,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
@@ -52,12 +53,16 @@ class Channel:
             answer: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"fault": "connection lost"}
         except ValueError:
             answer = {"fault": "half a packet"}
+        if not isinstance(answer, dict):
+            answer = {"fault": "half a packet", "what": "the answer is no object of JSON"}
         if "fault" in answer:
             raise Fault(answer["fault"], answer.get("what", "the other side ended in the middle"))
         return answer
 
     def close(self) -> None:
         """End the connection."""
+        with suppress(OSError):  # the other side may be gone
+            self._socket.shutdown(socket.SHUT_RDWR)  # a thread that waits for an answer goes on
         self._lines.close()
         self._socket.close()
 

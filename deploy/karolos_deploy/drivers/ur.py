@@ -117,7 +117,7 @@ class UR(SensedDriver):
 
     def read(self) -> Reading | None:
         receive, sensors = self._receive, self._sensors
-        sensors.check()
+        sensors.check(self.late)
         if not receive.isConnected():
             raise Fault("connection lost", "the controller ended it")
         stamp = receive.getTimestamp()
