@@ -54,6 +54,10 @@ ROBOT = {
 """Fields of observations -> the formula by which karolos-deploy computes them from joints and wrist."""
 
 
+_UNREAL = {"robot.latency", "robot.jitter", "robot.observation_noise"}
+"""Parameters by which an observation is not that of a reading."""
+
+
 def export_bundle(folder: RunFolder, out: Path, changes: Sequence[str] = (), *, checkpoint: str = "best") -> Exported:
     """Write the bundle of a run's policy.
 
@@ -63,12 +67,16 @@ def export_bundle(folder: RunFolder, out: Path, changes: Sequence[str] = (), *, 
         checkpoint: `best` or `last`.
 
     Raises:
-        UsageError: the policy moves no arm, or has actions that cannot be sent to a robot, or layouts are changed.
+        UsageError: the policy moves no arm, or has actions that cannot be sent to a robot, or layouts are changed, or
+            observations.
         SpecError: a change is not valid.
         RunError, MachineError: as `export_policy`.
     """
     saved = load_agent(folder, checkpoint)
     spec = changed_spec(saved.spec, changes, trained=saved.signature) if changes else playable(saved.spec)
+    if unreal := sorted(_UNREAL & spec.dump().get("randomization", {}).keys() if changes else ()):
+        hint = "leave it out: its logged episode must give the same observations again, and a robot has its own"
+        raise UsageError(f"a bundle cannot have {unreal[0]}", where="override", hint=hint)
     with used(environment_of(spec, randomize=bool(changes))) as environment:
         if not isinstance(environment, RobotTask) or not isinstance(environment.robot, Arm):
             hint = "leave out --bundle"
@@ -110,7 +118,7 @@ def _make_room(out: Path) -> None:
     """Remove an older bundle. Raises UsageError for a folder with other files."""
     found = {path.name for path in out.iterdir()} if out.is_dir() else set()
     ours = FILES | {"policy.yaml", "episode.npz", "film.mp4", "spec.json", "run.json", "README.md", "SHA256SUMS"}
-    if strange := sorted(found - ours):
+    if strange := sorted(found - ours if "policy.npz" in found else found):
         raise UsageError(
             f"{out} holds {strange[0]}, which does not belong to a bundle", hint="name an empty folder: --out"
         )

@@ -90,10 +90,19 @@ def test_what_is_no_arm_and_folders_of_others_are_refused(tmp_path):
         export_bundle(trained("sac"), tmp_path / "out", checkpoint="last")
     with pytest.raises(UsageError, match="a release within a control step"):
         export_bundle(RunFolder.open(FOLDER / "ur5_throw"), tmp_path / "out")
-    (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(UsageError, match=r"holds thesis\.tex"):
-        export_bundle(RunFolder.open(FOLDER / "ur5_reach"), tmp_path)
-    assert (tmp_path / "thesis.tex").read_text() == "years of work"
+    for name in ("README.md", "thesis.tex"):
+        (folder := tmp_path / name.lower()).mkdir()
+        (folder / name).write_text("years of work")
+        with pytest.raises(UsageError, match=rf"holds {name}"):
+            export_bundle(RunFolder.open(FOLDER / "ur5_reach"), folder)
+        assert (folder / name).read_text() == "years of work"
+
+
+@pytest.mark.parametrize("change", ["robot.latency=0.02", "robot.jitter=0.01", "robot.observation_noise=0.001"])
+def test_errors_of_a_cell_that_a_replay_cannot_repeat_are_refused(change, tmp_path):
+    with pytest.raises(UsageError, match=f"a bundle cannot have {change.partition('=')[0]}; leave it out"):
+        export_bundle(RunFolder.open(FOLDER / "ur5_reach"), tmp_path / "out", [change])
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_executor_imports_neither_karolos_nor_anything_heavy():
