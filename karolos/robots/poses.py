@@ -56,6 +56,8 @@ ARRIVED = 3e-3
 """Largest distance in m of the tool from the place after them."""
 APART, TOUCH = 0.005, 0.001
 """Smallest distance in m of links that may collide, in the workspace and where the tool is turned."""
+ASIDE = 0.3
+"""Distance in m of the first joint from the z axis of the base's frame from which on home is searched around it."""
 FAR = 0.05
 """Distance in m of links with only one between them from which on they must stay apart."""
 
@@ -146,6 +148,9 @@ class Poses:
         self.rest = np.where(inside, 0.0, (low + high) / 2)
         """Preferred joint positions: 0, or the middle of the range if 0 is near its end or outside."""
         self.speeds = np.array([joint.velocity for joint in joints])
+        first = np.array(joints[0].origin[:2])
+        self.middle: Array = first if np.linalg.norm(first) > ASIDE else np.zeros(2)
+        """Place (2,) in m around which home is searched."""
 
     def best(self) -> Place | None:
         """The home pose whose `Place.worth` is largest; None if the tool cannot point down anywhere around the base.
@@ -161,7 +166,8 @@ class Poses:
             first = direction == 0 and lift == lifts[0]
             if best is not None and (best.worth > ENOUGH if first else best.room > LEAST):
                 break
-            for found in self._at((distance * cos(direction), distance * sin(direction), lift)):
+            x, y = (self.middle + distance * np.array([cos(direction), sin(direction)])).tolist()
+            for found in self._at((x, y, lift)):
                 least = MORE * best.worth if best else 0.0
                 if found.room > least:
                     turned = found._replace(dexterous=self._dexterous(found))
@@ -332,9 +338,9 @@ class Poses:
         links.append(hand[: len(self.body.shapes[-1])])  # fingers may touch the floor
         if min(points[:, 2].min(initial=np.inf) for points in links[1:]) < CLEARANCE:
             return False
-        x, y, _ = self.chain.forward(pose.tolist()).tool.position
+        x, y = np.array(self.chain.forward(pose.tolist()).tool.position[:2]) - self.middle
         inner = np.vstack(links[1:-3])
-        beyond = inner[:, :2] @ (x, y) > (x * x + y * y) / 2
+        beyond = (inner[:, :2] - self.middle) @ (x, y) > (x * x + y * y) / 2
         return bool((inner[beyond, 2] > ROOM).all())
 
     def _reaches(self, pose: Array, target: Vector) -> bool:

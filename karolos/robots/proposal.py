@@ -308,7 +308,8 @@ class _Site:
                 raise UsageError(what, setting="robot.home", hint="at home z of the tool frame points down")
             return self.poses.at(home, workspace)
         found, first = self.poses.best(), self.poses
-        ahead = found is not None and found.room > LEAST and found.tool[0] > abs(found.tool[1])
+        x, y = np.subtract(found.tool[:2], first.middle) if found is not None else (0.0, 0.0)
+        ahead = found is not None and found.room > LEAST and x > abs(y)
         for share in () if ahead else SHOULDERS:
             floor = round(first.shoulder - share * first.length, 2)
             poses = Poses(*self._made, floor)
@@ -351,7 +352,7 @@ def doubts(found: urdf.Description) -> list[str]:
         least, _, most = np.linalg.eigvalsh(tensor).tolist()
         if not DOUBTED_RADII[0] ** 2 <= least / mass <= most / mass <= DOUBTED_RADII[1] ** 2:
             said[f"moments from {least:.3g} to {most:.3g} kg m2 at {mass:g} kg; compare the CAD"].append(f"link {name}")
-    length = sum(float(np.linalg.norm(joint.origin)) for joint in found.joints if joint.revolute)
+    length = _length([joint for joint in found.joints if joint.revolute], found)
     if length > DOUBTED_LENGTH:
         said["in other units than metres?"].append(f"a length of {length:.3g} m")
     mass = sum(urdf.inertia_of(link)[0] for link in found.robot.findall("link") if link.get("name") in moved)
@@ -360,6 +361,15 @@ def doubts(found: urdf.Description) -> list[str]:
         what = f"from {least:.3g} to {most:.3g} kg is usual for {length:.3g} m; compare the data sheet"
         said[what].append(f"{mass:.4g} kg in all links that move")
     return [f"{', '.join(of)}: {what}" for what, of in said.items()]
+
+
+def _length(arm: Sequence[Joint], found: urdf.Description) -> float:
+    """Length in m of an arm from its base, which may stand somewhere in a link of the world."""
+    lengths = [float(np.linalg.norm(joint.origin)) for joint in arm]
+    bases = [one.parent for one in arm[:1]]
+    places = [place for frame, (place, _) in found.frames.items() if found.carriers[frame] in bases]
+    lengths[:1] = [min(float(np.linalg.norm(one.origin - place)) for place in places) for one in arm[:1]]
+    return sum(lengths)
 
 
 def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str], tuple[str, ...]]:

@@ -15,7 +15,8 @@ from karolos.errors import PluginError
 from karolos.plugins.starter import write_starter
 from karolos.robots import poses
 from karolos.robots.arm import Arm, ArmSettings
-from karolos.robots.proposal import Known, Proposal, propose, with_meshes
+from karolos.robots.proposal import Known, Proposal, doubts, propose, with_meshes
+from karolos.simulation import urdf
 
 
 @pytest.fixture
@@ -140,6 +141,21 @@ def test_home_lies_in_the_workspace_below_a_ceiling_too(path, monkeypatch):
     path.write_text(text.replace(upright, '<child link="base"/><origin xyz="0 0 1" rpy="3.14159265 0 0"/>'))
     model = propose(path).model
     type("Mine", (Arm,), {"model": model, "Settings": ArmSettings})(ArmSettings())  # refuses a home outside
+
+
+def test_an_arm_works_in_front_of_its_base_wherever_that_stands_in_the_world(path, monkeypatch):
+    monkeypatch.setattr(poses, "CONFIGURATIONS", 1)
+    here, text = propose(path), path.read_text()
+    upright = '<child link="base"/><origin xyz="0 0 0"/>'
+    assert upright in text
+    path.write_text(text.replace(upright, '<child link="base"/><origin xyz="-0.5 2 0"/>'))
+    there = propose(path)
+    for end in ("low", "high"):
+        moved = np.add(getattr(here.model.workspace, end), (-0.5, 2, 0))
+        assert getattr(there.model.workspace, end) == pytest.approx(moved, abs=2e-3)
+    assert there.notes[0].endswith("on the floor z = 0")
+    path.write_text(text.replace(upright, '<child link="base"/><origin xyz="0 0 20"/>'))
+    assert doubts(urdf.load(path, strict=False)) == [], "a pedestal does not make the arm longer"
 
 
 def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_named(path):
