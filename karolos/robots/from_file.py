@@ -25,6 +25,7 @@ from .proposal import Known, Proposal, propose
 from .repair import MJCF, Repair
 from .settings import ArmSettings
 
+CHECK = "`karolos robot check` shows everything at once; robot.repair=true repairs what it can"
 _PROPOSAL = TypeAdapter(Proposal)
 
 
@@ -69,10 +70,14 @@ class FromFile(Arm):
     @classmethod
     def bare_model(cls, settings: ArmSettings) -> ArmModel:
         assert isinstance(settings, cls.Settings)
-        found = proposal_of(settings)
-        if found.overload:
-            hint = "compare the data sheet, or mount a lighter gripper"
-            raise PluginError(found.overload, where=settings.file, hint=hint)
+        try:
+            found = proposal_of(settings)
+            if found.overload:
+                hint = "compare the data sheet, or mount a lighter gripper"
+                raise PluginError(found.overload, where=settings.file, hint=hint)
+        except PluginError as error:  # otherwise the task would be blamed
+            what = ": ".join(filter(None, (error.where, error.what)))
+            raise PluginError(what, setting="robot.file", hint=error.hint) from None
         return found.model
 
 
@@ -126,7 +131,8 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made
     except PluginError as error:  # the user knows the file, not the copy
         lines = r"(:\d+)?" if used != path else ""  # those of the copy
         where = error.where and re.sub(re.escape(str(used)) + lines, lambda _: str(path), error.where)
-        raise PluginError(error.what, where=where, hint=error.hint) from None
+        hint = CHECK if made and not made.repair and "<limit>" in str(error.hint) else error.hint  # MJCF has none
+        raise PluginError(error.what, where=where, hint=hint) from None
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:
         with suppress(OSError, MachineError):  # a folder that cannot be written
@@ -144,7 +150,7 @@ def _as_urdf(path: Path, made: _Made | None, beside: Path | None) -> tuple[Path,
     repair, copy = Repair(path, made.mass, limits=made.repair), beside.with_suffix(".urdf")
     for one in repair.findings:
         if not one.change and not (made.repair and repair.robot is not None):
-            raise PluginError(one.what, where=one.where, hint="`karolos robot check` shows everything at once")
+            raise PluginError(one.what, where=one.where, hint=CHECK)
     with writing(copy):
         copy.parent.mkdir(parents=True, exist_ok=True)
     repair.write(copy)

@@ -13,6 +13,7 @@ a mass.
 from __future__ import annotations
 
 import copy
+import warnings
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -411,8 +412,11 @@ class _MjcfArm(_MjcfReader):
         """Add the link of a body with these parts. Its frame is at `pivot` (3,) of the body."""
         drawn = [geom for geom in parts if geom.tag == "geom"]
         solid = [geom for geom in drawn if (geom.get("contype"), geom.get("conaffinity")) != ("0", "0")] or drawn
-        shapes = [self._shape(geom, pivot, "convex") for geom in solid]
         inertials, mass, inertia = [part for part in parts if part.tag == "inertial"], 0.0, None
+        with warnings.catch_warnings():
+            if inertials:  # then no hull determines a mass
+                warnings.simplefilter("ignore")
+            shapes = [self._shape(geom, pivot, "convex") for geom in solid]
         solids, masses = list[Shape](), list[float]()
         for geom in () if inertials else drawn:
             if geom in solid or not isinstance(self._files.get(geom.get("mesh", "")), PluginError):

@@ -227,8 +227,8 @@ def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm):
     plain, off, on = (spec_in(arm.parent, f"{FILE[:-1]}{given}}}").hash() for given in settings)
     assert plain == off != on
     edit(arm, 'effort="60"', 'effort="0"')
-    with pytest.raises(PluginError, match="effort"):
-        robot_of(arm)
+    with pytest.raises(PluginError, match=r"^robot.file: .*small.urdf:\d+: joint \w+: .* effort"):
+        robot_of(arm)  # and neither the task nor its line
     repaired = robot_of(arm, repair=True)
     assert min(repaired.limits.effort) > 0
     assert any(note.startswith("repaired: its effort is 0") for note in proposal_of(repaired.settings).notes)
@@ -238,7 +238,7 @@ def test_an_arm_that_cannot_hold_itself_is_refused_by_the_name_of_its_own_file(a
     edit(arm, r'effort="[268]\d"', 'effort="3"')
     with pytest.raises(PluginError, match="cannot hold itself") as refused:
         robot_of(arm, gripper="robotiq_2f85", repair=True)  # which is read from a copy
-    assert str(refused.value).startswith(f"{arm}: gravity takes joint2")
+    assert str(refused.value).startswith(f"robot.file: {arm}: gravity takes joint2")
 
 
 def test_a_heavy_arm_on_a_spring_feels_no_heavier_than_a_ur10(arm):
