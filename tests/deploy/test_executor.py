@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 from karolos_deploy import Bundle, BundleError, Executor, Fault, Reading, command
+from karolos_deploy.drivers.franka import Franka
 from karolos_deploy.drivers.sensors import Sensors
-from karolos_deploy.drivers.simulation import Channel
+from karolos_deploy.drivers.simulation import Channel, Simulation
+from karolos_deploy.drivers.ur import UR
 from karolos_deploy.executor import read_log, replay
 from support.drivers import BROKEN, Obedient
 
@@ -224,6 +226,21 @@ def test_wrong_options_are_refused_in_one_line(arguments, why, whole, monkeypatc
     assert command.main([str(whole), *arguments]) == command.REFUSED
     (line,) = capsys.readouterr().err.splitlines()
     assert why in line
+
+
+@pytest.mark.parametrize(
+    ("driver", "settings", "why"),
+    [
+        (Simulation, {"seed": "abc"}, "seed is 'abc'; it is a whole number"),
+        (UR, {"host": "x", "gain": "strong"}, "the setting gain is 'strong'; give a number"),
+        (UR, {"host": "x", "lookahead": "nan"}, "the setting lookahead is 'nan'; give a number"),
+        (UR, {"host": "x", "zero_wrench": "true"}, "the setting zero_wrench is 'true'; it is yes or no"),
+        (Franka, {"host": "x", "grasp_force": "40N"}, "the setting grasp_force is '40N'; give a number"),
+    ],
+)
+def test_a_setting_without_a_meaning_is_refused_before_a_connection(driver, settings, why, whole):
+    with pytest.raises(BundleError, match=why):
+        driver(Bundle(whole), settings)
 
 
 def test_a_simulated_robot_in_a_process_of_its_own_succeeds(whole, capsys):

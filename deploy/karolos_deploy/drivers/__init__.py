@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping
 from importlib.metadata import entry_points
+from math import isfinite, nan
 from typing import Any, ClassVar
 
 from ..bundle import Bundle, BundleError
@@ -46,6 +47,9 @@ class Driver:
             known = ", ".join(f"{name}={value}" for name, value in self.settings.items())
             raise BundleError(f"the driver has no setting {', '.join(unknown)}; it has {known}")
         self.values = {**self.settings, **settings}
+        for name, usual in self.settings.items():
+            if usual in ("yes", "no") and self.values[name] not in ("yes", "no"):
+                raise BundleError(f"the setting {name} is {self.values[name]!r}; it is yes or no")
         if self.values.get("host") == "":
             raise BundleError("the address of the controller is missing: --set host=...")
         if (mode := bundle.contract["control"]["mode"]) not in self.modes:
@@ -54,9 +58,12 @@ class Driver:
     def number(self, name: str) -> float:
         """A setting as a number."""
         try:
-            return float(self.values[name])
+            found = float(self.values[name])
         except ValueError:
-            raise BundleError(f"the setting {name} is {self.values[name]!r}; give a number") from None
+            found = nan
+        if not isfinite(found):
+            raise BundleError(f"the setting {name} is {self.values[name]!r}; give a number")
+        return found
 
     def now(self) -> float:
         """The time of the executor's clock in s."""

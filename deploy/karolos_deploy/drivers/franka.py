@@ -48,6 +48,7 @@ class Franka(SensedDriver):
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         super().__init__(bundle, settings)
+        self.number("grasp_force")  # refused before anything moves
         self._robot: Any = None
         self._hand: Any = None
         self._closing = self._closed = False

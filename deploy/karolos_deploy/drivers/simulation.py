@@ -7,6 +7,7 @@ run somewhere (`address`). With `clock=simulated` time passes as fast as both ca
 from __future__ import annotations
 
 import json
+import re
 import socket
 import subprocess
 import sys
@@ -82,6 +83,8 @@ class Simulation(Driver):
         super().__init__(bundle, settings)
         if self.values["clock"] not in ("real", "simulated"):
             raise BundleError(f"clock is {self.values['clock']!r}; it is real or simulated")
+        if self.values["seed"] and not re.fullmatch(r"\d{1,18}", self.values["seed"], re.ASCII):
+            raise BundleError(f"seed is {self.values['seed']!r}; it is a whole number, or empty")
         self._simulated = self.values["clock"] == "simulated"
         self._process: subprocess.Popen[str] | None = None
         self._channel: Channel | None = None

@@ -54,6 +54,8 @@ class UR(SensedDriver):
 
     def __init__(self, bundle: Bundle, settings: Mapping[str, str]) -> None:
         super().__init__(bundle, settings)
+        for name in ("lookahead", "gain", "watchdog", *["gripper"] * bool(self.values["gripper"])):
+            self.number(name)  # refused before anything moves
         self._impedance = bundle.contract["control"]["mode"] == "impedance"
         self._receive: Any = None
         self._control: Any = None
