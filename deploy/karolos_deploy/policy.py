@@ -55,6 +55,9 @@ class NumpyPolicy:
         for name, part in zip(("observation", "desired_goal"), parts, strict=True):
             for place in np.argwhere(~np.isfinite(part))[:1]:
                 raise ValueError(f"{name}[{place[-1]}] is not finite; policy.json says which field that is")
+        if not parts[0].ndim or (parts[1].size and parts[0].shape[:-1] != parts[1].shape[:-1]):
+            shapes = " and ".join(str(part.shape) for part in parts)
+            raise ValueError(f"observation and goal have the shapes {shapes}; both are one row, or as many rows")
         count = self.missing.shape[1]
         seen, wanted = (part.shape[-1] for part in parts)
         if seen + wanted + count != self.shift.size:

@@ -271,6 +271,9 @@ def _expanded(path: Path) -> str:
     except (xacro.XacroException, arguments.SubstitutionException, ExpatError, OSError) as error:
         what = " ".join(str(error).splitlines())
         raise PluginError(f"xacro cannot expand it: {what}", where=str(path)) from None
+    except RecursionError:
+        hint = "xacro:include or a macro without an end"
+        raise PluginError("xacro cannot expand it: it uses itself", where=str(path), hint=hint) from None
     return text
 
 

@@ -55,6 +55,9 @@ def test_inputs_of_another_size_are_refused():
     for observation, goal, sizes in ((4, 0, "4 and 0"), (0, 4, "0 and 4")):
         with pytest.raises(ValueError, match=f"have {sizes} numbers, the policy takes at least 2 and 2"):
             policy(np.zeros(observation), np.zeros(goal))
+    for rows, others in (((3, 2), (2,)), ((2,), (3, 2)), ((2, 2), (3, 2)), ((), (2,))):
+        with pytest.raises(ValueError, match=r"have the shapes .* and .*; both are one row, or as many rows"):
+            policy(np.zeros(rows), np.zeros(others))
 
 
 def test_a_file_of_another_format_is_refused(tmp_path):

@@ -110,6 +110,14 @@ def test_macros_are_expanded_where_a_person_asks_for_it(arm):
     assert {limit.get("velocity") for limit in found.robot.iter("limit")} >= {"2.5"}
 
 
+def test_macros_that_use_themselves_are_refused_in_one_line(arm):
+    pytest.importorskip("xacro")
+    declare_macros(arm, f'<xacro:include filename="{arm.name}"/>')
+    found = Repair(arm, expand=True)
+    assert found.robot is None
+    assert found.findings[0].what.startswith("xacro cannot expand it: it uses itself; xacro:include or a macro")
+
+
 def test_a_file_that_only_declares_the_prefix_of_macros_needs_none(arm):
     declare_macros(arm)
     assert not Repair(arm, expand=True).findings
