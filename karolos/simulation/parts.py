@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from math import inf
 from pathlib import Path
 from typing import Literal
 from xml.etree.ElementTree import Element, SubElement
@@ -60,20 +61,29 @@ def body(shapes: Sequence[Shape], mass: float, inertia: Inertia | None = None) -
     Args:
         mass: in kg, 0 for a fixed body.
         inertia: by default that of a body with uniform density.
+
+    Raises UsageError for a mass or an inertia that no body has.
     """
+    _check("body", mass, inertia)
     robot = Element("robot", name="body")
     robot.append(link_element("body", shapes, mass, inertia, None))
     return robot
 
 
 def mechanism(links: Sequence[Link]) -> Mechanism:
-    """Check links made in code, the base first. Raises UsageError for a link whose joint or parent is invalid."""
+    """Check links made in code, the base first. Raises UsageError for a link whose joint, parent or mass is invalid."""
+    if not links:
+        raise UsageError("a mechanism without links", hint="the base first")
     robot, known = Element("robot", name=links[0].name), set[str]()
     for link in links:
+        if link.name in known:
+            raise UsageError(f"two links are called {link.name}", hint="a joint has the name of the link that it moves")
+        _check(f"link {link.name}", link.mass, link.inertia)
         robot.append(link_element(link.name, link.shapes, link.mass, link.inertia, link.colour))
         low, high = link.range
-        if known and not (link.parent in known and link.mass > 0 and low < high and any(link.axis)):
-            hint = "a parent before it, mass > 0, range with low < high, an axis"
+        moves = link.parent in known and link.mass > 0 and low < high and any(link.axis)
+        if known and not (moves and link.joint in ("slide", "hinge") and min(link.friction, link.damping) >= 0):
+            hint = "a parent before it, mass > 0, slide or hinge, range with low < high, an axis, no negative friction"
             raise UsageError(f"link {link.name} cannot move", hint=hint)
         if known:
             joint = SubElement(robot, "joint", name=link.name, type={"slide": "prismatic"}.get(link.joint, "revolute"))
@@ -85,6 +95,16 @@ def mechanism(links: Sequence[Link]) -> Mechanism:
             SubElement(joint, "dynamics", damping=repr(link.damping))
         known.add(link.name)
     return Mechanism(robot, {link.name: link.friction for link in links[1:]})
+
+
+def _check(name: str, mass: float, inertia: Inertia | None) -> None:
+    """Refuse a mass that is negative or no number, and moments that no body has, which engines treat differently."""
+    if not 0 <= mass < inf:
+        raise UsageError(f"{name}: a mass of {mass:g} kg", hint="a number > 0, or 0 if it is fixed")
+    least, middle, most = sorted(inertia.moments) if inertia is not None and mass else (1.0, 1.0, 1.0)
+    if not (least > 0 and most <= 1.001 * (least + middle) < inf):
+        hint = "each is > 0, and none is larger than the sum of the others"
+        raise UsageError(f"{name}: no body has the moments {least:g} {middle:g} {most:g} kg m2", hint=hint)
 
 
 def link_element(

@@ -33,6 +33,8 @@ class Shape(ABC):
             if not all(least <= number <= LARGEST_SIZE for number in np.ravel(value)):
                 what, hint = f"{type(self).__name__}: {name} {value}", f"{least:g} to {LARGEST_SIZE:g} m"
                 raise UsageError(what, hint=hint)
+        if not any(self.orientation):
+            raise UsageError(f"{type(self).__name__}: orientation {self.orientation}", hint="a quaternion x y z w")
 
     @abstractmethod
     def solid(self) -> tuple[float, Array, Array]:

@@ -18,7 +18,7 @@ from support.rig import world as empty
 from karolos.errors import MachineError, PluginError, UsageError
 from karolos.simulation import fixtures, meshes, urdf
 from karolos.simulation.geometry import matrix_of, multiply, rotated, rotation_about
-from karolos.simulation.parts import Link, Mechanism, mechanism
+from karolos.simulation.parts import Link, Mechanism, body, mechanism
 from karolos.simulation.shapes import Cuboid, Inertia, Mesh, inertia_of, volume_of
 
 RED = (1.0, 0.0, 0.0, 1.0)
@@ -377,6 +377,38 @@ def test_what_of_a_file_is_not_known_is_refused_with_its_line(text, said, tmp_pa
     path.write_text(text)
     with pytest.raises(PluginError, match=re.escape(said)):
         fixtures.read(path)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ({"mass": float("nan")}, "body: a mass of nan kg"),
+        ({"mass": -1.0}, "body: a mass of -1 kg; a number > 0, or 0"),
+        ({"inertia": Inertia((0, 0, 0), (-1.0, 1.0, 1.0))}, "body: no body has the moments -1 1 1"),
+        ({"inertia": Inertia((0, 0, 0), (1.0, 9.0, 1.0))}, "body: no body has the moments 1 1 9"),
+    ],
+)
+def test_a_mass_and_moments_that_no_body_has_are_refused(given, said):
+    with pytest.raises(UsageError, match=said):
+        body([Cuboid((0.1, 0.1, 0.1))], **{"mass": 1.0, **given})
+    with pytest.raises(UsageError, match="Cuboid: orientation"):
+        Cuboid((0.1, 0.1, 0.1), orientation=(0.0, 0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("links", "said"),
+    [
+        ([], "a mechanism without links"),
+        ([{"name": "lid"}, {"name": "lid"}], "two links are called lid"),
+        ([{"name": "lid", "mass": -1.0}], "link lid: a mass of -1 kg"),
+        ([{"name": "lid", "damping": -1.0}], "link lid cannot move; .* no negative friction"),
+        ([{"name": "lid", "joint": "ball"}], "link lid cannot move; .* slide or hinge"),
+    ],
+)
+def test_a_mechanism_that_no_engine_can_simulate_is_refused(links, said):
+    usual: dict[str, Any] = {"shapes": [], "parent": "box", "mass": 1.0, "range": (0.0, 1.0)}
+    with pytest.raises(UsageError, match=said):
+        mechanism([Link(name="box", shapes=[]), *(Link(**usual | link) for link in links)] if links else [])
 
 
 def test_a_link_that_cannot_move_is_refused():
