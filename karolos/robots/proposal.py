@@ -393,6 +393,10 @@ def propose_gripper(path: Path, tool: str | None = None) -> tuple[dict[str, str]
     if abs(hand.across[2]) > 0.1:
         raise PluginError("the fingers slide along z", where=str(path), hint="z of the base points away from the arm")
     middle, tip = (hand.tips.min(0) + hand.tips.max(0)) / 2, float(hand.tips[:, 2].max())
+    if middle[2] < float(np.linalg.norm(middle[:2])) or tip <= 0:
+        what = f"the middle of the fingers is at {_metres(middle)} m in {base}: they are not ahead of it along z"
+        hint = "put a link with z away from the arm before it, by a fixed joint"
+        raise PluginError(what, where=str(path), hint=hint)
     place, what = np.array([*middle[:2], tip - PAD_DEPTH]), f"{PAD_DEPTH:g} m from the tips of the fingers"
     if tool is not None:
         if found.carriers.get(tool) != base:

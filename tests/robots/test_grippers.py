@@ -1,5 +1,6 @@
 """Arms with grippers that are not their own; what each combination promises is checked with the contracts."""
 
+import re
 from dataclasses import replace
 from itertools import product
 from xml.etree.ElementTree import Element
@@ -18,6 +19,7 @@ from karolos.plugins.contracts.joined import join, joined, refusal
 from karolos.plugins.contracts.robots import grasping
 from karolos.registry import load, names
 from karolos.robots.mounting import mounted
+from karolos.robots.proposal import propose_gripper
 from karolos.simulation import urdf
 
 
@@ -74,6 +76,22 @@ def test_friction_at_the_lip_of_a_cup_holds_what_hangs_beside_it(share, held):
         for _ in range(24):
             environment.step(np.array([0.0] * 6 + [-1.0]))
         assert (robot.pads_touching(cube) == 2) == held
+
+
+def test_a_gripper_whose_base_points_into_the_arm_is_refused_and_the_advice_helps(tmp_path):
+    upright, path = urdf.text_of(load("grippers", "franka_hand").model.urdf), tmp_path / "hand.urdf"
+    path.write_text(upright)
+    numbers, _ = propose_gripper(path)
+    [base] = set(re.findall(r'<link name="([^"]+)"', upright)) - set(re.findall(r'<child link="([^"]+)"', upright))
+    turned = upright.replace(
+        "</robot>", f'<joint name="turn" type="fixed"><parent link="base_"/><child link="{base}"/>'
+    )
+    turned += '<origin xyz="0 0 0" rpy="{} 0 0"/></joint><link name="base_"/></robot>'
+    path.write_text(turned.format(np.pi))
+    with pytest.raises(PluginError, match="they are not ahead of it along z; put a link with z away from the arm"):
+        propose_gripper(path)
+    path.write_text(turned.format(0))
+    assert propose_gripper(path)[0]["tool"] == numbers["tool"]
 
 
 def test_an_unknown_gripper_is_told_at_its_place_with_the_closest_name(tmp_path):
