@@ -590,7 +590,7 @@ def _hand(found: urdf.Description, pair: Sequence[Joint]) -> _Hand:
         raise PluginError(
             "the fingers do not slide in opposite directions",
             where=f"joints {names}",
-            hint="make them fixed in a copy of the URDF to use the robot without its gripper",
+            hint="mount another gripper in their place (robotiq_2f85), or make them fixed in a copy of the URDF",
         )
     pads = [_points_moved(found.robot, one) for one in pair]
     pads = [pad if len(pad) else np.array([joint.origin]) for pad, joint in zip(pads, pair, strict=True)]

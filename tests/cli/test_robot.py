@@ -80,7 +80,7 @@ def test_a_task_that_the_robot_cannot_do_is_named_with_the_reason(arm):
     found = robot_score.score_policy(FOLDER / "ur5_pick", ["robot.name=urdf", f"robot.file={arm}"], 1)
     assert found.success is None
     assert found.refused is not None
-    assert "this robot has no gripper" in found.refused
+    assert "this robot has no gripper; mount one (robot.gripper=robotiq_2f85), or choose" in found.refused
 
 
 def test_policies_are_those_of_a_robot_or_one(arm):
