@@ -164,6 +164,7 @@ def _source() -> list[str | None]:
     files = (
         "repair.py",
         "../simulation/fixtures.py",
+        "../simulation/mujoco/mjcf.py",
         "proposal.py",
         "poses.py",
         "loads.py",

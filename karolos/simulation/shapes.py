@@ -136,21 +136,19 @@ def volume_of(shapes: Sequence[Shape]) -> float:
     return sum(shape.solid()[0] for shape in shapes)
 
 
-def inertia_of(shapes: Sequence[Shape], mass: float, shares: Sequence[float] | None = None) -> Inertia:
-    """Inertia of a body of `mass` kg with uniform density, or with a given share of the mass for each shape."""
+def inertia_of(shapes: Sequence[Shape], mass: float) -> Inertia:
+    """Inertia of a body of `mass` kg with uniform density."""
     solids = []
     for shape in shapes:
         volume, middle, tensor = shape.solid()
         turn = matrix_of(shape.orientation)
         solids.append((volume, np.array(shape.position) + turn @ middle, turn @ tensor @ turn.T))
-    if shares is not None:
-        solids = [(share, middle, own) for share, (_, middle, own) in zip(shares, solids, strict=True)]
-    total = sum(share for share, _, _ in solids)
-    centre = sum((share * middle for share, middle, _ in solids), np.zeros(3)) / total
+    total = sum(volume for volume, _, _ in solids)
+    centre = sum((volume * middle for volume, middle, _ in solids), np.zeros(3)) / total
     tensor = np.zeros((3, 3))
-    for share, middle, own in solids:
+    for volume, middle, own in solids:
         offset = middle - centre
-        tensor += mass * share / total * (own + offset @ offset * np.eye(3) - np.outer(offset, offset))
+        tensor += mass * volume / total * (own + offset @ offset * np.eye(3) - np.outer(offset, offset))
     moments, axes = np.diag(tensor), np.eye(3)
     if np.abs(tensor - np.diag(moments)).max() > 1e-9 * moments.max():
         moments, axes = np.linalg.eigh(tensor)

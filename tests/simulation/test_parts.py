@@ -214,6 +214,8 @@ MJCF = """
     <joint name="slide" type="slide" axis="-1 0 0" pos="-.01 0 0" range="0 .2" frictionloss="2" damping="3"/>
     <inertial pos="-.01 0 0" mass=".5" diaginertia=".001 .001 .001"/></body></body></worldbody></mujoco>
 """
+FIXED = '<fixed><joint joint="slide" coef="1"/></fixed>'
+MOTOR = '<motor joint="slide"/>'
 HANDLE = Cuboid((0.02, 0.15, 0.08))
 
 
@@ -340,19 +342,20 @@ def test_an_arm_of_mjcf_is_where_its_own_compiler_has_it_and_weighs_as_much(tmp_
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
+        ("<frame pos", '<include file="b.xml"/><frame pos', "xml:7: <include> is not known to karolos; mujoco writes"),
+        ('type="slide" ref=".03" range="-1 1"', 'type="ball"', "xml:8: joint j2: a ball joint; joints of an arm are"),
         (
-            "<frame pos",
-            "<replicate/><frame pos",
-            "<replicate> in <body> is not known to karolos; mujoco writes",
+            'name="j3"',
+            'name="j4"/><joint name="j3"',
+            "xml:11: body b3: one body has 2 joints; a body of an arm has one",
         ),
-        ('type="slide"', 'type="ball"', "joint j2: a ball joint; joints of an arm are hinges and slides"),
-        ('"zYx"', '"xy"', "xml:2: compiler: its eulerseq is 'xy'; three of xyzXYZ"),
-        ("0 1 0 -1 0 0.5", "0 1 0 0 2 0", "body b2: its xyaxes are parallel, or 0"),
-        ("body", "beam", "no bodies in <worldbody>; an arm is a tree of bodies"),
+        ('"zYx"', '"xy"', "xml:2: compiler: MuJoCo refuses it: attribute 'eulerseq' must have exactly 3 characters"),
+        ("0 1 0 -1 0 0.5", "0 1 0 0 2 0", "xml:8: b2: MuJoCo refuses it: error 'yaxis too small'"),
+        (ARM, "<mujoco><worldbody/></mujoco>", "no bodies in <worldbody>; an arm is a tree of bodies"),
     ],
 )
 def test_what_of_an_arm_in_mjcf_would_be_lost_is_refused(old, new, said, tmp_path):
-    (path := tmp_path / "arm.xml").write_text(ARM.replace(old, new).replace("worldbeam", "worldbody"))
+    (path := tmp_path / "arm.xml").write_text(ARM.replace(old, new))
     with pytest.raises(PluginError, match=re.escape(said)):
         fixtures.arm(path, 2.0, 0.1)
 
@@ -360,16 +363,35 @@ def test_what_of_an_arm_in_mjcf_would_be_lost_is_refused(old, new, said, tmp_pat
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        (CLASSES.replace('class="pin" p', 'class="pen" p'), "xml:8: geom: there is no class 'pen'"),
+        (
+            CLASSES.replace('class="pin" p', 'class="pen" p'),
+            "xml:8: geom: MuJoCo refuses it: unknown default class name 'pen'",
+        ),
         (URDF.replace('lower="0" upper=".2"', 'lower="0"'), "joint slide: limits must satisfy lower < upper"),
         (URDF.replace("<dynamics", '<mimic joint="x"/><dynamics'), "joint slide: it mimics x, which is possible only"),
-        (MJCF.replace("<option", "<tendon/><option"), "xml:2: tendon: <tendon> in <mujoco> is not known to karolos"),
-        (MJCF.replace('mass=".5"', 'mass="1e999"'), "xml:5: inertial: its mass is '1e999'"),
-        (MJCF.replace("range=", "ref="), "xml:4: joint slide: ref is not known"),
-        (MJCF.replace("range=", "limited='false' range="), "xml:4: joint slide: it needs the type hinge"),
-        (CLASSES.replace('angle="radian"', 'eulerseq="XYZ"'), "xml:2: compiler: eulerseq is not known to karolos"),
-        (MJCF.replace('size=".01 .075 .04"', 'size=".01"'), "xml:3: geom: type 'box' with 1 sizes"),
-        (MJCF.replace("<joint", "<freejoint/><joint"), "<freejoint> in <body> is not known"),
+        (MJCF.replace("</mujoco>", f"<tendon>{FIXED}</tendon></mujoco>"), "xml:5: tendon: a fixture has no tendons"),
+        (MJCF.replace("</mujoco>", f"<actuator>{MOTOR}</actuator></mujoco>"), "actuator: a fixture has no actuators"),
+        (
+            MJCF.replace('mass=".5"', 'mass="1e999"'),
+            "xml:5: inertial: MuJoCo refuses it: number is too large in attribute",
+        ),
+        (MJCF.replace("range=", 'stiffness="2" ref=".1" range='), "xml:4: joint slide: ref, stiffness is not known"),
+        (
+            MJCF.replace("range=", "limited='false' range="),
+            "xml:3: body drawer: a moving body needs one joint, a hinge",
+        ),
+        (
+            MJCF.replace('type="slide"', 'type="ball"').replace("range=", "user="),
+            "body drawer: a moving body needs one",
+        ),
+        (MJCF.replace("<joint", '<joint axis="0 1 0"/><joint'), "xml:3: body drawer: a moving body needs one joint"),
+        (MJCF.replace("<geom", "<joint/><geom", 1), "xml:2: body housing: the base of a fixture has no joint"),
+        (MJCF.replace("<light/>", "<light/><body/>"), "several bodies in <worldbody>; it needs one, the base"),
+        (MJCF.replace('type="box"', 'type="ellipsoid"'), "geom: its type is ellipsoid; known are box, sphere"),
+        (
+            MJCF.replace('size=".01 .075 .04"', 'size=".01"'),
+            "xml:3: MuJoCo refuses it: size 1 must be positive in geom",
+        ),
     ],
 )
 def test_what_of_a_file_is_not_known_is_refused_with_its_line(text, said, tmp_path):
