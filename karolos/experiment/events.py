@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ..records.evaluation import Evaluation
@@ -109,4 +110,5 @@ def text_of(event: RunEvent) -> str | None:
 def print_progress(event: RunEvent) -> None:
     """A listener that prints a line on stderr for each start, test, warning and end."""
     if (text := text_of(event)) is not None:
-        print(f"{event.run} {text}", file=sys.stderr)
+        with suppress(OSError):  # a full disk or a reader that has ended ends no run
+            print(f"{event.run} {text}", file=sys.stderr)

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import _thread
 import errno
+import io
 import os
 import select
 import signal
@@ -17,11 +18,13 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TextIO, TypeVar
 
 if TYPE_CHECKING:
     import socket
     from multiprocessing.context import BaseContext
+
+    from _typeshed import ReadableBuffer
 
 LINUX, MACOS, WINDOWS = (sys.platform == name for name in ("linux", "darwin", "win32"))
 """Read when a function is called, so that tests can imitate another system."""
@@ -288,6 +291,27 @@ def use_utf8() -> None:
     if WINDOWS:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]
+
+
+class _Lossy(io.FileIO):
+    """A descriptor whose failed writes are lost without an error."""
+
+    def write(self, data: ReadableBuffer, /) -> int:
+        try:
+            return super().write(data)
+        except OSError:
+            return memoryview(data).nbytes
+
+
+def unfailing(stream: TextIO) -> TextIO:
+    """The process's own stderr, so that a full disk or a reader that has ended loses lines, but ends no run.
+
+    Another stream, and a terminal of Windows, is returned as it is.
+    """
+    if stream is not sys.__stderr__ or (WINDOWS and stream.isatty()):
+        return stream
+    buffer = io.BufferedWriter(_Lossy(stream.fileno(), "wb", closefd=False))
+    return io.TextIOWrapper(buffer, stream.encoding, stream.errors, line_buffering=True)
 
 
 # Files

@@ -31,6 +31,15 @@ def test_standard_output_that_is_full_or_closed_is_told_in_one_line_or_nothing(r
     assert ended.stderr.count("\n") <= 1
 
 
+@pytest.mark.parametrize("redirection", ["2>/dev/full", "2> >(head -0)"])
+def test_a_run_goes_on_if_the_reader_of_its_progress_has_ended_or_its_log_is_full(redirection, tmp_path):
+    command = f"{sys.executable} -m karolos_cli run karolos:smoke/toy orchestrator.processes=0 training.steps=20"
+    command = f"{command} testing.episodes=2 testing.interval=10 --runs {tmp_path} --json {redirection}"
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert ended.returncode == 0
+    assert json.loads(ended.stdout)["state"] == "finished"
+
+
 @pytest.mark.parametrize(
     ("trouble", "code", "said"),
     [("init:hang", 124, "stopped before a run began"), ("init:interrupt", 130, "interrupted\n")],
