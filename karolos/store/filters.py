@@ -8,8 +8,8 @@
 
 A comparison with a missing value is false, except `= null`. `!=` means `not =`. `~` means that a text contains another,
 in upper or lower case. A comparison of `tags` is true if it is true for any tag. Numbers are compared only with
-numbers, and texts only with texts (times are ISO 8601, which sorts like time). Python parses the text, but never
-evaluates it as code.
+numbers, texts only with texts, and times only with times (ISO 8601, in UTC if there is no zone). Python parses the
+text, but never evaluates it as code.
 """
 
 from __future__ import annotations
@@ -20,17 +20,20 @@ import re
 from bisect import bisect_right
 from collections.abc import Callable, Container, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from itertools import accumulate
 from operator import ge, gt, le, lt
 from typing import Any
 
 from ..errors import UsageError, alternatives
-from ..records.run_records import STATES
+from ..records.run_records import STATES, timestamp
 
 EXAMPLE = "e.g. task=reach and agent.learning_rate<1e-3"
 LONGEST = 10_000
 """Largest number of characters of a filter."""
+TIMES = ("created", "updated")
+"""Keys whose values are times."""
 DEEPEST = 50
 """Largest number of nested ands, ors and nots; far below Python's stack limit."""
 _OPERATORS: dict[Any, str] = dict(
@@ -104,6 +107,10 @@ class Token:
     def equals(self, actual: Any) -> bool:
         if isinstance(actual, str):
             return actual == self.text  # an id may consist of digits
+        if isinstance(actual, list | tuple | dict):
+            with suppress(ValueError):
+                return bool(json.loads(self.text) == json.loads(json.dumps(actual)))
+            return False
         if isinstance(actual, bool) or isinstance(self.value, bool):
             return actual is self.value
         return bool(actual == self.value)
@@ -123,8 +130,7 @@ class FilterComparison:
         if self.key == "tags" and isinstance(actual, list | tuple):
             found = any(self._holds(literal, tag) for literal in self.literals for tag in actual)
         else:
-            plain = json.dumps(actual) if isinstance(actual, list | tuple | dict) else actual
-            found = any(self._holds(literal, plain) for literal in self.literals)
+            found = any(self._holds(literal, actual) for literal in self.literals)
         return found != (self.operator == "!=")
 
     def _holds(self, literal: Token, actual: Any) -> bool:
@@ -137,7 +143,7 @@ class FilterComparison:
         order = _ORDER[self.operator]
         if isinstance(actual, str):
             return order(actual, literal.text)
-        if actual is None or isinstance(actual, bool) or not isinstance(literal.value, int | float):
+        if isinstance(actual, bool) or not all(isinstance(one, int | float) for one in (actual, literal.value)):
             return False
         return order(actual, literal.value)
 
@@ -195,6 +201,8 @@ class _Parser:
         if not names or len(names) < len(values):
             raise self._error(right.col_offset, "is not a value", 'a number, a word or a "text in quotes"')
         name, *literals = (self._tokens[int(name.id[1:])] for name in (key, *names))
+        if name.text in TIMES and operator != "~":
+            literals = [literal if literal.value is None else _time(literal) for literal in literals]
         self._comparisons.append(FilterComparison(name.text, operator, tuple(literals), name.column))
         return self._comparisons[-1].matches
 
@@ -233,6 +241,17 @@ def _value(word: str) -> float | int | bool | str | None:
         with suppress(ValueError):  # also for integers of thousands of digits, which become floats
             return kind(word)
     return _WORDS.get(word.lower(), word)
+
+
+def _time(literal: Token) -> Token:
+    """A literal as a time in the form of the records. Raises UsageError if it is none."""
+    try:
+        read = datetime.fromisoformat(literal.text.removesuffix(" UTC"))
+        text = timestamp(read if read.tzinfo else read.replace(tzinfo=UTC))
+    except (ValueError, OverflowError):
+        hint = 'e.g. created>2026-11-29 or created>"2026-11-29 18:30"; without a zone it is UTC'
+        raise _error(f"{literal.text!r} is not a time", literal.column, hint) from None
+    return replace(literal, text=text, value=text)
 
 
 def _error(what: str, column: int, hint: str) -> UsageError:

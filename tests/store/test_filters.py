@@ -43,6 +43,9 @@ FITS = (
     "tags=good and tags='to show' and tags~SHOW and tags!=bad and tags in (x, good)",
     r"note='it \"fell\"' and note ~ 'FELL'",
     "created>2026-11-20 and created<2026-11-22",
+    "created<'2026-11-21 10:30' and created<'2026-11-21 10:00:01 UTC' and created<2026-11-21T12:30+02:00",
+    "created>'2026-11-21 09:30' and created>2026-11-21T11:30+02:00 and created!=null and created~'21T10:0'",
+    "agent.hidden='[256,256]' and agent.hidden in ('[1]', '[ 256,256 ]') and agent.hidden!='[256'",
     "success~9",
 )
 DOES_NOT_FIT = (
@@ -73,6 +76,9 @@ def test_filter_fits_or_not(text):
     ("text", "column", "what"),
     [
         ("", 1, "the filter is empty;"),
+        ("seed=1 and created>yesterday", 20, "'yesterday' is not a time; e.g. created>2026-11-29"),
+        ("updated in (2026-13-45)", 13, "'2026-13-45' is not a time;"),
+        ("created>0001-01-01T00:00+05:00", 9, "'0001-01-01T00:00+05:00' is not a time;"),
         ("task", 1, "'task'"),
         ("task=", 6, "something is missing after '=';"),
         ("task===reach", 7, "'='"),
