@@ -130,11 +130,23 @@ def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
     folders = (_read(path, locked) for path in paths(root))
     while group := list(islice(folders, _RUNS_TOGETHER)):
         for place, found in enumerate(group):
-            other = found.name if found.run is None else known.setdefault(found.run, found.name)
+            if found.run is None:
+                continue
+            own = found.run if _names(root / found.run) == found.run else found.name  # a copy never replaces it
+            other = known.setdefault(found.run, own)
             if other != found.name:
                 problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
+                problem += "; remove one of the two, or move it into another runs folder"
                 group[place] = _FoundFolder(found.name, None, None, (problem,))
         yield group
+
+
+def _names(path: Path) -> str | None:
+    """The run that a folder says it is; None if it is no run folder."""
+    try:
+        return RunFolder.open(path).id
+    except RunError:
+        return None
 
 
 def _read(path: Path, locked: bool) -> _FoundFolder:

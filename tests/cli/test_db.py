@@ -39,7 +39,7 @@ def test_check_is_silent_or_lists_differences_and_ends_with_4(runs):
     assert f"{first}" in told.out
     assert "it has a folder, and is not in the database" in told.out
     assert "it is in the database, and its folder is gone" in told.out
-    assert "2 differences; `karolos db reindex`" in told.err
+    assert "2 differences; `karolos db reindex` corrects the database, but changes no folder" in told.err
     karolos("db", "reindex")
     assert karolos("db", "check").out == ""
 

@@ -179,17 +179,19 @@ def test_check_names_every_kind_of_difference(tmp_path):
     assert any("tests.jsonl:1: the last line is torn" in what for what in found[torn.id])
 
 
-def test_two_folders_of_one_run_are_told_and_the_first_is_kept(tmp_path):
+@pytest.mark.parametrize("copy", ["z-copy", "a-copy"])
+def test_two_folders_of_one_run_are_told_and_that_of_its_name_is_kept(tmp_path, copy):
     with Store(Store.default_url(tmp_path)) as store:
         world = World(tmp_path, store)
         world.apply("run", "a", 0.001, "1.0")
         (folder,) = world.folders
-        shutil.copytree(folder.path, tmp_path / "z-copy")
+        shutil.copytree(folder.path, tmp_path / copy)
         done = reindex(store, tmp_path)
         assert done.runs == 1
-        assert any(f"z-copy: says that it is the run {folder.id}" in problem for problem in done.problems)
+        said = f"{copy}: says that it is the run {folder.id}, as {folder.id} does; left out; remove one of the two"
+        assert any(said in problem for problem in done.problems)
         assert store.runs()[0].folder == str(folder.path)
-        assert any(f"z-copy: says that it is the run {folder.id}" in one.what for one in check(store, tmp_path))
+        assert any(said in one.what for one in check(store, tmp_path))
 
 
 def test_reindex_keeps_what_a_run_writes_meanwhile(tmp_path, monkeypatch):
