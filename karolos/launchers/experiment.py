@@ -21,7 +21,7 @@ from ..experiment.tracking import Tracking
 from ..experiment.writer import index_run
 from ..records import RunFolder
 from ..records.run_records import RunSummary
-from ..specification import Spec, spec_from_dict
+from ..specification import Spec, load_spec, spec_from_dict
 from ..store.query import prepare_index
 from ..system import cores
 from ..system.files import FileLock
@@ -76,15 +76,18 @@ class Experiment:
     """Trains and tests an agent in an environment, once for each seed of the spec.
 
     Args:
-        spec: a Spec, or a dictionary of the same shape as a spec file, e.g.
+        spec: a Spec, a spec file or the name of a shipped spec, or a dictionary of the same shape as a spec file, e.g.
             `{"robot": "panda", "task": "reach", "agent": "sac"}`; missing keys have their defaults.
 
     Raises:
-        SpecError: the dictionary is not a valid spec; lists every problem.
+        SpecError: the file or dictionary is not a valid spec; lists every problem.
     """
 
-    def __init__(self, spec: Spec | Mapping[str, Any]) -> None:
-        self.spec = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
+    def __init__(self, spec: Spec | str | Path | Mapping[str, Any]) -> None:
+        if isinstance(spec, str | Path):
+            self.spec = load_spec(spec)
+        else:
+            self.spec = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
 
     def run(
         self,

@@ -11,7 +11,7 @@ import pytest
 from support.toy_runs import toy
 
 import karolos
-from karolos.errors import UsageError
+from karolos.errors import SpecError, UsageError
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -35,6 +35,14 @@ def test_records_and_rows(folder, monkeypatch):
     assert len(karolos.runs("agent=td3", runs=folder)) == 0
     (folder / "empty").mkdir()
     assert len(karolos.runs(runs=folder / "empty")) == 0
+
+
+def test_an_experiment_takes_the_name_or_the_path_of_a_spec(tmp_path):
+    (tmp_path / "reach.yaml").write_text("extends: karolos:panda_reach.yaml\n")
+    copied, shipped = karolos.Experiment(tmp_path / "reach.yaml"), karolos.Experiment("karolos:panda_reach")
+    assert copied.spec.hash() == shipped.spec.hash()
+    with pytest.raises(SpecError, match=r"nothere\.yaml: there is no such file"):
+        karolos.Experiment("nothere.yaml")
 
 
 def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder, tmp_path):
