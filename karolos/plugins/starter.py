@@ -20,6 +20,8 @@ from ..registry import entries
 
 KINDS = ("robot", "gripper", "task", "agent", "buffer", "environment", "distribution", "driver")
 """Kinds with a starter package."""
+LONGEST = 60
+"""Largest number of characters of a plugin's name."""
 
 
 def write_starter(
@@ -41,10 +43,11 @@ def write_starter(
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))
-    if not re.fullmatch(r"[a-z](_?[a-z0-9])*", name) or keyword.iskeyword(name) or len(name) > 60:
+    if not re.fullmatch(r"[a-z](_?[a-z0-9])*", name) or keyword.iskeyword(name) or len(name) > LONGEST:
         raise UsageError(
             f"{name!r} cannot be the name of a plugin",
-            hint="lower-case letters, digits and single underscores, beginning with a letter, not a Python keyword",
+            hint=f"at most {LONGEST} lower-case letters, digits and single underscores, beginning with a letter, not a "
+            "Python keyword",
         )
     for other, package in _installed(kind):
         if other == name and package != f"karolos-{name.replace('_', '-')}":
@@ -82,11 +85,11 @@ def _rendered(
     kind: str, name: str, urdf: Path | None, tool: str | None, gripper: str | None
 ) -> tuple[dict[str, str | Path], tuple[str, ...]]:
     """The package, by paths below its folder: texts and files to copy; and notes."""
+    class_name = "".join(word.capitalize() for word in name.split("_"))
     values = {
         "kind": kind,
         "name": name,
         "dashed": name.replace("_", "-"),
-        "class_name": "".join(word.capitalize() for word in name.split("_")),
         "threshold": "0.05",
         "group": DRIVERS if kind == "driver" else f"karolos.{kind}s",
         "needs": "" if kind == "driver" else '"karolos"',  # a robot's computer has only karolos-deploy
@@ -124,6 +127,8 @@ def _rendered(
             notes = proposal.notes
         contents[f"{package}/{name}.urdf"], meshes = with_meshes(urdf)
         contents |= {f"{package}/{path}": file for path, file in meshes.items()}
-    for path, template in templates.items():
-        contents[path] = Template((folder / f"{template}.txt").read_text(encoding="utf-8")).substitute(values)
+    texts = {path: (folder / f"{template}.txt").read_text(encoding="utf-8") for path, template in templates.items()}
+    taken = re.findall(r"\w+", "\n".join([texts[f"{package}/{name}.py"], *values.values()]))
+    values["class_name"] = class_name + kind.capitalize() * (class_name in taken)  # as BoxTask: it uses the class Box
+    contents |= {path: Template(text).substitute(values) for path, text in texts.items()}
     return contents, notes

@@ -94,6 +94,7 @@ def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_pa
         ("robot", "class", "cannot be the name"),
         ("robot", "../x", "cannot be the name"),
         ("robot", "a__b", "cannot be the name"),
+        ("robot", "a" * 61, "at most 60 lower-case letters"),
         ("task", "reach", "the package karolos has a task called 'reach' already"),
         ("gripper", "vacuum", "the package karolos has a gripper called 'vacuum' already"),
         ("distribution", "choice", "the package karolos has a distribution called 'choice' already"),
@@ -104,6 +105,16 @@ def test_what_cannot_be_written_is_refused_and_leaves_nothing(tmp_path, kind, na
     out = tmp_path / "new"
     assert what in refused("plugins", "new", kind, name, "--out", out)
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "class_name"),
+    [("task", "box", "BoxTask"), ("robot", "arm", "ArmRobot"), ("task", "bin", "Bin")],
+)
+def test_a_class_is_not_called_like_one_that_it_uses(tmp_path, kind, name, class_name):
+    karolos("plugins", "new", kind, name, "--out", tmp_path / "new")
+    assert f'"karolos_{name}.{name}:{class_name}"' in (tmp_path / "new" / "pyproject.toml").read_text()
+    assert f"\nclass {class_name}(" in (tmp_path / f"new/src/karolos_{name}/{name}.py").read_text()
 
 
 def test_a_package_that_is_installed_can_be_written_again(tmp_path, monkeypatch):

@@ -99,7 +99,7 @@ def test_a_task_without_the_headings_of_its_docstring_breaks_a_promise():
 
 
 def test_settings_and_kinds_that_cannot_be_checked_are_refused():
-    with pytest.raises(UsageError, match="distribution mine: low: Field required; give a value for each setting"):
+    with pytest.raises(UsageError, match="mine: low: Field required; `karolos plugins show distribution mine` lists"):
         broken(made("distributions", "uniform", {}))
     with pytest.raises(UsageError, match="no contracts for orchestrator local"):
         cases(candidate("orchestrators", "local"))

@@ -15,8 +15,6 @@ from ...errors import UsageError
 from ...registry import load, singular
 from ...simulation.engines import Engine
 
-_HINT = "give a value for each setting without a default, e.g. low=0"
-
 
 @dataclass(frozen=True)
 class Candidate:
@@ -41,7 +39,9 @@ class Candidate:
         except ValidationError as error:
             first = error.errors()[0]
             place = ": ".join([f"{singular(self.kind)} {self.name}", *map(str, first["loc"])])
-            raise UsageError(first["msg"], where=place, hint=_HINT) from None
+            shown = f"`karolos plugins show {singular(self.kind)} {self.name}`"
+            what = "no such setting" if first["type"] == "extra_forbidden" else first["msg"]
+            raise UsageError(what, where=place, hint=f"{shown} lists the settings; give one as NAME=VALUE") from None
 
 
 def required(plugin: type[Any]) -> list[str]:
