@@ -111,6 +111,9 @@ class RunWriter:
         if snapshot is None:
             self._set_state("running")
             self.folder.event("started", **learner)
+            for name in provenance.edited_since_import(self.folder.description().get("sources") or {}):
+                what = f"the source of {name} was edited after this process imported it"
+                self.warn(what, "the run may use the old code, and its record has the new one; start the process again")
             return
         about = self.folder.description()
         found = provenance.other_software(about)

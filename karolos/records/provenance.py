@@ -11,6 +11,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
 from importlib import metadata
+from importlib.machinery import ModuleSpec
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,9 @@ DIFF_BYTES = 1_000_000
 UNTRACKED_FILES = 50
 _BETWEEN = "\x1f"
 """Separates arguments. An argument contains no such white space."""
+
+_LOADED: dict[str, tuple[dict[str, ModuleSpec | None], str]] = {}
+"""Package or module -> what this process has loaded of it, with the hash of its source then. A reload changes both."""
 
 _SECRET_FILES = (
     *(".env*", "*.env", "*.pem", "*.key", "*.p12", "*.pfx", "*.ppk", "*.kdbx", "*.jks", "*.keystore", "*.tfvars"),
@@ -92,6 +96,23 @@ def sources(names: Iterable[str] | None = None, unread: list[str] | None = None)
         if prints:
             found[name] = prints[0] if len(prints) == 1 else hashlib.sha256("".join(prints).encode()).hexdigest()
     return found
+
+
+def edited_since_import(found: Mapping[str, str]) -> list[str]:
+    """The names in `sources` whose files changed after this process loaded them, if nothing of them was reloaded.
+
+    A change before the first call is not seen.
+    """
+    edited = []
+    for name, digest in found.items():
+        parts = [one for one in list(sys.modules) if one == name or one.startswith(f"{name}.")]
+        loaded = {one: getattr(sys.modules[one], "__spec__", None) for one in parts}
+        before, known = _LOADED.get(name, (loaded, digest))
+        if known != digest and before and all(loaded.get(one) is spec for one, spec in before.items()):
+            edited.append(name)
+        else:
+            _LOADED[name] = (loaded, digest)
+    return edited
 
 
 def source_of_others(found: Mapping[str, str]) -> str | None:

@@ -337,6 +337,9 @@ class _YamlReader:
             if not isinstance(key.value, str):
                 what = f"the key {shown(repr(key.plain()))} is not a string"
                 self._report(written, what, "put it in quotes if it is meant as a name")
+            elif key.value == "<<":
+                hint = "write its keys here, or put them into a file and name that in `extends`"
+                self._report(written, "YAML's merge << is not read", hint)
             elif key.value in entries:
                 first = entries[key.value].place
                 self._report(written, f"duplicate key {shown(key.value)!r}, first at {first}", "remove one of them")

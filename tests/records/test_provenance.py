@@ -1,3 +1,4 @@
+import importlib
 import os
 import subprocess
 import sys
@@ -27,6 +28,22 @@ def work_tree(tmp_path: Path) -> Path:
     git(tmp_path, "commit", "-m", "first")
     git(tmp_path, "remote", "add", "origin", "https://me:secret@example.org/x.git")
     return tmp_path
+
+
+def test_a_module_that_was_edited_after_its_import_is_named_until_it_is_reloaded(tmp_path, monkeypatch):
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "edited_here.py").write_text("REWARD = 1\n")
+    module = importlib.import_module("edited_here")
+
+    def found() -> list[str]:
+        return provenance.edited_since_import(provenance.sources(["edited_here", "nowhere"]))
+
+    assert found() == found() == []
+    (tmp_path / "edited_here.py").write_text("REWARD = 2.5\n")
+    assert found() == found() == ["edited_here"]
+    importlib.reload(module)
+    assert found() == []
+    monkeypatch.delitem(sys.modules, "edited_here")
 
 
 def test_clean_work_tree_has_a_commit_and_no_diff(work_tree):
