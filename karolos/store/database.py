@@ -103,9 +103,9 @@ class Database:
 
     @staticmethod
     def exists(url: str) -> bool:
-        """Whether there is a database to open; always true unless it is SQLite."""
+        """Whether there is a database to open, not only an empty file; always true unless it is SQLite."""
         path = _sqlite_file(_parse_url(url))
-        return path is None or os.path.exists(path)
+        return path is None or (os.path.exists(path) and os.path.getsize(path) > 0)
 
     def close(self) -> None:
         """Close every connection. Safe to call twice."""

@@ -138,10 +138,11 @@ def test_place_without_runs_lists_nothing_and_makes_nothing(tmp_path, monkeypatc
     assert "there is no folder elsewhere; name the runs folder" in refused("list", "--runs", "elsewhere")
 
 
-def test_missing_index_is_rebuilt_from_the_folders(runs):
+@pytest.mark.parametrize("emptied", [Path.unlink, Path.write_bytes])
+def test_missing_or_empty_index_is_rebuilt_from_the_folders(runs, emptied):
     add_run(runs, 0)
     before = rows("list")
-    (runs / "karolos.sqlite").unlink()
+    emptied(runs / "karolos.sqlite", *[b""] * (emptied is Path.write_bytes))
     assert "rebuilt from 1 run folders" in karolos("list").err
     assert rows("list") == before
 
