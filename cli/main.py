@@ -102,6 +102,11 @@ def main() -> None:
     sys.stdout = sys.stdout or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115  (None if it is closed)
     sys.stderr = sys.stderr or open(os.devnull, "w", encoding="utf-8")  # noqa: SIM115
     system.use_utf8()
+    try:
+        os.getcwd()
+    except FileNotFoundError:
+        say("the current folder was removed, perhaps made again since; change into one that exists, e.g. cd .")
+        sys.exit(MachineError.exit_code)
     sys.stderr = system.unfailing(sys.stderr)
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
         signal.signal(signal.SIGTERM, end_at_once)  # runs handle it themselves

@@ -287,7 +287,9 @@ def listen_alone(listener: socket.socket) -> None:
 
 
 def use_utf8() -> None:
-    """Allow printing of any character, even if Windows' own encoding lacks it."""
+    """Allow printing of any character: in UTF-8 on Windows, and escaped if the encoding of another system lacks it."""
+    if isinstance(sys.stdout, io.TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")
     if WINDOWS:
         for stream in (sys.stdout, sys.stderr):
             stream.reconfigure(encoding="utf-8", errors="replace")  # type: ignore[union-attr]

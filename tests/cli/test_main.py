@@ -1,6 +1,7 @@
 """What `karolos` says about itself, about wrong calls, and about runs that ended."""
 
 import json
+import os
 import re
 import subprocess
 import sys
@@ -38,6 +39,22 @@ def test_a_run_goes_on_if_the_reader_of_its_progress_has_ended_or_its_log_is_ful
     ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
     assert ended.returncode == 0
     assert json.loads(ended.stdout)["state"] == "finished"
+
+
+def test_a_character_that_the_encoding_of_the_output_lacks_is_escaped(tmp_path):
+    name = add_run(tmp_path, 0)
+    karolos("runs", "note", name, "grün", "--runs", tmp_path)
+    command = [sys.executable, "-m", "karolos_cli", "runs", "list", "--columns", "note", "--runs", tmp_path]
+    environment = os.environ | {"PYTHONIOENCODING": "ascii"}
+    ended = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout) == (0, "note\ngr\\xfcn\n")
+
+
+def test_a_current_folder_that_was_removed_is_told_in_one_line(tmp_path):
+    command = f"cd {tmp_path}; mkdir gone; cd gone; rmdir ../gone; {sys.executable} -m karolos_cli runs list"
+    ended = subprocess.run(["bash", "-c", command], capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stderr.count("\n")) == (3, 1)
+    assert ended.stderr.startswith("the current folder was removed")
 
 
 @pytest.mark.parametrize(
