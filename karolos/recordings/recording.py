@@ -9,10 +9,12 @@ episodes/        one .npz per kept episode
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -219,8 +221,12 @@ def read_own(path: Path) -> Dataset:
         try:
             with np.load(file, allow_pickle=False) as arrays:
                 found = {name: arrays[name] for name in arrays.files if name != "seed"}
-        except (OSError, ValueError, EOFError) as error:
+        except (OSError, ValueError, EOFError, BadZipFile, zlib.error) as error:
             refuse(file, f"cannot be read: {error}", "copy it again")
+        steps = kept[place].steps
+        for name, array in found.items():
+            if not array.ndim or len(array) not in (steps, steps + 1):
+                refuse(file, f"{name} has the shape {array.shape}, and the episode {steps} steps", "copy it again")
         return {name: array.reshape(len(array), -1) for name, array in found.items()}
 
     return Dataset(path, tuple(one.steps for one in kept), rate, NAMES, read, about)

@@ -136,6 +136,36 @@ def test_a_damaged_recording_is_one_line_and_nothing_is_run(name, recorded, tmp_
     assert not list((tmp_path / "runs").glob("*-s0-*"))
 
 
+def _arrays(**changed: Callable[[np.ndarray], Any]) -> Damage:
+    def damage(path: Path) -> None:
+        with np.load(path) as file:
+            arrays = dict(file)
+        np.savez(path, **{name: changed.get(name, np.asarray)(array) for name, array in arrays.items()})
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    ("damage", "expected"),
+    [
+        (
+            lambda path: path.write_bytes(path.read_bytes()[:100]),
+            "cannot be read: File is not a zip file; copy",
+        ),
+        (lambda path: path.write_bytes(b""), "cannot be read: No data left in file; copy it again"),
+        (_arrays(action=lambda one: one[:-1]), "action has the shape (11, 3), and the episode 12 steps; copy it again"),
+        (_arrays(reward=lambda one: one[0]), "reward has the shape (), and the episode 12 steps; copy it again"),
+        (_arrays(observation=lambda one: one[:5]), "observation has the shape (5, 6), and the episode 12 steps;"),
+    ],
+)
+def test_a_damaged_episode_of_our_own_format_is_one_line_with_its_file(damage, expected, recorded, tmp_path):
+    path = shutil.copytree(recorded / "own", tmp_path / "own")
+    damage(path / "episodes/000001.npz")
+    with pytest.raises(UsageError) as caught:
+        read_recordings(path, facts(spec_from_dict(REACH).recipe(randomize=False)), {}, 3)
+    assert f"000001.npz: {expected}" in str(caught.value)
+
+
 def test_joints_in_degrees_are_noticed(recorded):
     joints = spec_from_dict(REACH, ["robot.control=joint"]).recipe(randomize=False)
     columns = {**COLUMNS, "joint_positions": "joints SI", "joint_velocities": "joints deg/s"}
