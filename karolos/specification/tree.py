@@ -316,6 +316,7 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
     """
     tree = written
     for change in changes:
+        tree = _named(tree, change)
         tree = tree.merged(_with_shared_settings(tree, change))
     entries = dict(_without_nulls(tree).anchored(FilePath.cwd()).mapping or {})
     joined = "robot" in entries and "task" in entries
@@ -326,6 +327,16 @@ def merge(written: Node, changes: Iterable[Node] = (), stem: str | None = None) 
     if "name" not in entries:
         entries["name"] = Node(_described(entries) if stem is None else stem, DEFAULT, DEFAULT)
     return Node(entries, written.at, written.key)
+
+
+def _named(tree: Node, change: Node) -> Node:
+    """The tree; a part without a name has its default name, so that a change can name another plugin."""
+    for key, above in (change.mapping or {}).items():  # one entry
+        below = tree.get(key)
+        if key in DEFAULT_PLUGINS and below is not None and below.mapping is not None and above.get("name") is not None:
+            default = Node({"name": Node(DEFAULT_PLUGINS[key], DEFAULT, DEFAULT)}, below.at, below.key)
+            return Node({**(tree.mapping or {}), key: default.merged(below)}, tree.at, tree.key)
+    return tree
 
 
 def _with_shared_settings(tree: Node, change: Node) -> Node:

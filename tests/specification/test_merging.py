@@ -162,6 +162,8 @@ def path(tmp_path):
         # another plugin does not have the settings, the same one keeps them
         (["robot.step=0.3", "robot=other_arm"], "robot", {"name": "other_arm", "speed": 1.0}),
         (["robot.step=0.3", "robot=arm"], "robot step", 0.3),
+        (["buffer.capacity=777", "agent=latest", "buffer.name=rollout"], "buffer", {"name": "rollout"}),  # of no name
+        (["buffer.capacity=777", "buffer.name=uniform"], "buffer capacity", 777),
     ],
 )
 def test_an_override_replaces_one_value_and_the_last_one_wins(path, overrides, where, value):
