@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Sequence
 from contextlib import nullcontext
 from pathlib import Path
@@ -190,6 +191,11 @@ def select_runs(
     if not selected:
         raise UsageError("no runs match the filter", hint="`karolos runs list FILTER --trials` shows which runs match")
     return store, tuple(selected.values())
+
+
+def in_folder(runs: Path) -> str:
+    """The option, after a blank, that a suggested command needs to find this runs folder; nothing for the default."""
+    return "" if runs.resolve() == Path("runs").resolve() else f" --runs {shlex.quote(str(runs))}"
 
 
 def check_file(path: Path) -> None:

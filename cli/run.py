@@ -25,6 +25,7 @@ from .arguments import (
     Runs,
     SpecFile,
     TimeLimit,
+    in_folder,
     open_run,
     seconds,
     with_launcher,
@@ -63,7 +64,7 @@ def run(
         from karolos.experiment.check import check_parts
 
         check_parts(found)
-        _detach(runs / f"{found.name}.log")
+        _detach(runs, f"{found.name}.log")
     from karolos.launchers.experiment import Experiment
 
     from .display import choose_display
@@ -81,8 +82,9 @@ def run(
     report(outcome, runs, quiet=quiet, json=json)
 
 
-def _detach(log: Path) -> NoReturn:
-    """Start this command in the background, with its output in the log, and end this process. Raises MachineError."""
+def _detach(runs: Path, name: str) -> NoReturn:
+    """Start this command in the background, with its output in a log, and end this process. Raises MachineError."""
+    log, option = runs / name, in_folder(runs)
     words = [word for word in sys.argv[1:] if word != "--detach"]
     with writing(log):
         log.parent.mkdir(parents=True, exist_ok=True)
@@ -90,7 +92,8 @@ def _detach(log: Path) -> NoReturn:
     command = [sys.executable, "-m", "karolos_cli", *words]
     process = subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=out, stderr=out, **detached())
     say(f"process {process.pid} goes on, with its output in {log}")
-    say("`karolos runs list --watch` shows the runs, `karolos runs stop RUN` stops one with a checkpoint")
+    stops = f"`karolos runs stop RUN{option}` stops one with a checkpoint"
+    say(f"`karolos runs list --watch{option}` shows the runs, {stops}")
     raise typer.Exit
 
 
@@ -146,10 +149,10 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         from karolos.report.tables import runs_table
 
         print_table(runs_table(outcome.runs))
-        last = outcome.runs[-1]
-        plays = f", `karolos play {last.run}` shows it" if last.mean_return is not None else ""
-        say(f"results in {runs}; `karolos runs show {last.run}` shows more{plays}")
+        last, option = outcome.runs[-1], in_folder(runs)
+        plays = f", `karolos play {last.run}{option}` shows it" if last.mean_return is not None else ""
+        say(f"results in {runs}; `karolos runs show {last.run}{option}` shows more{plays}")
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:
-            say(f"{run} is stopped: `karolos resume {run}` continues it")
+            say(f"{run} is stopped: `karolos resume {run}{option}` continues it")
     raise typer.Exit(outcome.exit_code)

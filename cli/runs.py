@@ -38,6 +38,7 @@ from .arguments import (
     OneRun,
     Runs,
     Where,
+    in_folder,
     open_or_make_store,
     open_run,
     open_store,
@@ -354,7 +355,8 @@ def remove(
                 moved.append({"run": summary.run, "folder": str(path)})
         finally:  # also the runs moved before the one that failed
             print_rows(moved, json=json, line="{run} -> {folder}")
-    say("`karolos runs restore RUN` brings them back, `karolos runs rm --purge` empties the trash")
+    option = in_folder(runs)
+    say(f"`karolos runs restore RUN{option}` brings them back, `karolos runs rm --purge{option}` empties the trash")
 
 
 @app.command()
@@ -372,7 +374,7 @@ def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> N
     say(f"{folder.id} writes a checkpoint and stops")
     while folder.summary().state == "running":
         time.sleep(STOP_SECONDS)
-    say(f"{folder.id} is {folder.summary().state}; `karolos resume {folder.id}` continues it")
+    say(f"{folder.id} is {folder.summary().state}; `karolos resume {folder.id}{in_folder(runs)}` continues it")
 
 
 @app.command()

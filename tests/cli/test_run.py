@@ -55,7 +55,8 @@ def test_a_table_and_the_place_of_the_results_end_a_run(home):
     assert row["state"] == "finished"
     assert "success end" in told.out
     assert "results in elsewhere" in told.err
-    assert f"`karolos runs show {row['run']}` shows more, `karolos play {row['run']}` shows it" in told.err
+    shown = f"{row['run']} --runs elsewhere"  # so that the commands work as they stand
+    assert f"`karolos runs show {shown}` shows more, `karolos play {shown}` shows it" in told.err
 
 
 @pytest.mark.parametrize(
