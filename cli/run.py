@@ -146,12 +146,16 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
     if json:
         print_rows([summary.row() for summary in outcome.runs], json=True)
     elif outcome.runs and not quiet:
+        from karolos.records import RunFolder
+        from karolos.records.shipped import SHIPPED, is_shipped
         from karolos.report.tables import runs_table
 
         print_table(runs_table(outcome.runs))
         last, option = outcome.runs[-1], in_folder(runs)
-        plays = f", `karolos play {last.run}{option}` shows it" if last.mean_return is not None else ""
-        say(f"results in {runs}; `karolos runs show {last.run}{option}` shows more{plays}")
+        folder = RunFolder(Path(last.folder))
+        shown = f"{SHIPPED}{folder.path.name}" if is_shipped(folder) else f"{last.run}{option}"
+        plays = f", `karolos play {shown}` shows it" if last.mean_return is not None else ""
+        say(f"results in {runs}; `karolos runs show {shown}` shows more{plays}")
         stopped = [run.run for run in outcome.runs if run.state == "stopped"]
         for run in stopped:
             say(f"{run} is stopped: `karolos resume {run}{option}` continues it")

@@ -8,6 +8,7 @@ from typing import Any
 
 from ..errors import UsageError
 from ..records import RunFolder, checkpoint, provenance
+from ..records.shipped import is_shipped
 from ..specification import Spec, spec_from_dict
 from .events import Listener
 from .resume import LAST, check_files, find_run
@@ -25,16 +26,17 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
             CHANGEABLE, or training.steps is not larger.
         SpecError: an override is not valid.
     """
+    start_from = f"agent.start_from={source.path.name if is_shipped(source) else source.id}"
     for override in overrides:
         if override.partition("=")[0].strip() not in CHANGEABLE:
-            hint = f"these can change: {', '.join(CHANGEABLE)}; agent.start_from={source.id} begins a new run"
+            hint = f"these can change: {', '.join(CHANGEABLE)}; {start_from} begins a new run"
             raise UsageError("this setting cannot change when a run is continued", where=override, hint=hint)
     state = source.state()
     if state.state != "finished":
         hint = f"first `karolos resume {source.id}`, without settings"
         raise UsageError(f"only a finished run can be continued; this one is {state.state}", hint=hint)
     if LAST not in checkpoint.names(source.checkpoints):
-        hint = f"agent.start_from={source.id} begins a new run from its policy"
+        hint = f"{start_from} begins a new run from its policy"
         raise UsageError(f"{source.id} has no checkpoint {LAST!r} to continue from", hint=hint)
     steps = checkpoint.read_meta(source.checkpoints, LAST)["steps"]
     origin = {"experiment": source.description()["experiment"], "at": steps}

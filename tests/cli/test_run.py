@@ -59,6 +59,12 @@ def test_a_table_and_the_place_of_the_results_end_a_run(home):
     assert f"`karolos runs show {shown}` shows more, `karolos play {shown}` shows it" in told.err
 
 
+def test_a_shipped_run_is_suggested_by_a_name_that_works(home):
+    assert "`karolos runs show shipped:panda_reach` shows more" in karolos("resume", "panda_reach").err
+    told = refused("resume", "panda_reach", "training.steps=4000")
+    assert "agent.start_from=panda_reach begins a new run from its policy" in told
+
+
 @pytest.mark.parametrize(
     ("arguments", "code", "words"),
     [
