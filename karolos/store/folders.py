@@ -132,7 +132,9 @@ def _run_folders(root: Path, *, locked: bool) -> Iterator[list[_FoundFolder]]:
         for place, found in enumerate(group):
             if found.run is None:
                 continue
-            own = found.run if _names(root / found.run) == found.run else found.name  # a copy never replaces it
+            own = found.name
+            if own != found.run and _names(root / found.run) == found.run:
+                own = found.run  # a copy never replaces it
             other = known.setdefault(found.run, own)
             if other != found.name:
                 problem = f"{found.name}: says that it is the run {found.run}, as {other} does; left out"
