@@ -40,7 +40,14 @@ FIXTURES = "docs/parts.md lists what of MJCF is known; a URDF may say more"
 
 
 def fixture(path: Path, root: Element, lines: dict[Element, int], collision: meshes.Collision | None) -> Mechanism:
-    """A fixture or an object with joints. Raises PluginError with the line of what cannot be simulated."""
+    """A fixture or an object with joints. Raises PluginError with the line of what cannot be simulated.
+
+    Args:
+        path: of the file.
+        root: its XML.
+        lines: line of each element of it.
+        collision: collision shapes of its meshes, see `fixtures.read`.
+    """
     file = _MjcfFile(path, root, lines)
     for kind in NOT_IN_FIXTURES:
         for part in getattr(file.spec, kind):
@@ -81,9 +88,11 @@ def fixture(path: Path, root: Element, lines: dict[Element, int], collision: mes
 def arm(path: Path, root: Element, lines: dict[Element, int], speed: float, slide: float) -> Element:
     """The URDF of an arm, with absolute names of meshes. Bodies without a joint are fixed to the body before.
 
-    Its torques are those of its actuators, or limits of its joints; MJCF has no speeds.
+    Its torques are those of its actuators, or limits of its joints; MJCF has no speeds. Raises PluginError with the
+    line of what cannot be simulated.
 
     Args:
+        path, root, lines: as in `fixture`.
         speed: of turning joints, in rad/s.
         slide: of sliding joints, in m/s.
     """
@@ -249,7 +258,7 @@ class _MjcfFile:
     def _keep_what_is_used(self) -> None:
         """Leave out what is only drawn and may lack files: textures, and meshes that karolos cannot read."""
         spec, folder = self.spec, self._path.parent / self.spec.meshdir
-        for part in [*spec.geoms, *spec.sites, *spec.tendons, *spec.skins]:
+        for part in [*spec.geoms, *spec.sites, *spec.tendons]:
             part.material = ""
         for part in [*spec.materials, *spec.textures, *spec.skins]:
             spec.delete(part)
@@ -259,7 +268,7 @@ class _MjcfFile:
             file = folder / mesh.file
             usable = mesh.file and file.is_file() and file.suffix.lower() in meshes.MESH_SUFFIXES
             if usable and not np.ptp(mesh.scale) and not np.any(mesh.refpos) and abs(mesh.refquat[0]) == 1:
-                readable[mesh.name or file.stem] = file, float(mesh.scale[0])
+                readable[mesh.name] = file, float(mesh.scale[0])
         for body in spec.bodies:
             geoms = list(body.geoms)
             solid = [geom for geom in geoms if geom.contype or geom.conaffinity] or geoms
@@ -270,7 +279,7 @@ class _MjcfFile:
                     needs = (
                         f"it needs a file of {', '.join(meshes.MESH_SUFFIXES)}, one scale for all axes, and no refpos"
                     )
-                    raise self.error(next((one for one in spec.meshes if one.name == geom.meshname), geom), needs)
+                    raise self.error(spec.mesh(geom.meshname) or geom, needs)
                 spec.delete(geom)
         used = {geom.meshname for geom in spec.geoms}
         for mesh in list(spec.meshes):
