@@ -111,9 +111,17 @@ class GoalRule(ABC):
     reward_range: tuple[float, float] = (-np.inf, np.inf)
     """The smallest and largest reward of one step."""
 
-    @abstractmethod
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        """Reward of a step that arrives at `achieved` (..., a) with the goal `desired` (..., d): shape (...)."""
+        """Reward of a step that arrives at `achieved` (..., a) with the goal `desired` (..., d): shape (...).
+
+        By default it is sparse: 0 on success, else -1. Set `reward_range` with another one.
+        """
+        return np.subtract(self.success(achieved, desired), 1, dtype=np.float32)
+
+    @property
+    def sparse(self) -> bool:
+        """Whether the reward is 0 on success, else -1: an environment need not compute it then."""
+        return type(self).reward is GoalRule.reward
 
     @abstractmethod
     def success(self, achieved: Array, desired: Array) -> BoolArray:

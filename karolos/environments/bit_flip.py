@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field as Setting
 
-from ..core import Array, BoolArray, Discrete, Environment, Field, FloatArray, GoalRule, Layout, Signature, Step
+from ..core import Array, BoolArray, Discrete, Environment, Field, GoalRule, Layout, Signature, Step
 from ..core import Settings as BaseSettings
 from .action_set import action_index
 
@@ -14,9 +14,6 @@ class SameBits(GoalRule):
     """Success, the end of the episode and reward 0 where all bits match, else -1."""
 
     reward_range = (-1.0, 0.0)
-
-    def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        return np.subtract(self.success(achieved, desired), 1, dtype=np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         return np.asarray((np.asarray(achieved) == desired).all(-1))

@@ -94,6 +94,7 @@ class RobotTask(Environment):
         """The parameters that randomization may change, by name with the part in front."""
         self._action_set = ActionSet(robot.action) if settings.actions == "discrete" else None
         self._terminates = type(task.goal_rule).terminated is not GoalRule.terminated
+        self._sparse = task.goal_rule.sparse
         self._drawn: list[float] = []
         full = robot.observation + task.observation
         kept = tuple(field for field in full.fields if field.name not in settings.omit)
@@ -238,7 +239,8 @@ class RobotTask(Environment):
         stopped = self.robot.stopped
         over = stopped or self._steps >= self.signature.max_steps or self.task.over()
         truncated = over and not terminated
-        reward, success = float(rule.reward(achieved, goal)), bool(rule.success(achieved, goal)) and not stopped
+        near = bool(rule.success(achieved, goal))
+        reward, success = near - 1.0 if self._sparse else float(rule.reward(achieved, goal)), near and not stopped
         if not success:
             self._reached = None
         elif self._reached is None:

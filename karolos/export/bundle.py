@@ -265,7 +265,7 @@ def record(
 
     for moment in play(environment, Policy(act, policy.begin), episodes=EPISODES, seed=seed):
         if moment.step == 0:
-            seen["start"].append(list(arm.joint_positions))
+            seen["start"].append(arm.joint_positions)
         episode = moment.episode + moment.over
     return {name: np.array([row[name] for row in rows]) for name in rows[0]}, {n: np.array(v) for n, v in seen.items()}
 

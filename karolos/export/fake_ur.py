@@ -182,7 +182,8 @@ class FakeUR(Server):
             kind, data = chr(rest[2]), bytes(rest[3:size])
             del rest[:size]
             if kind == "U":
-                self._command(client.recipes[data[0] - 1], data[1:])
+                if data[0] <= len(client.recipes):  # a cut connection has none, and may send once more
+                    self._command(client.recipes[data[0] - 1], data[1:])
                 continue
             reply = b"\x01"
             if kind == "v":

@@ -121,7 +121,7 @@ class SimulatedRobot:
         arm.opening_command = arm.opening_command if opening is None else opening
         openings = {0: arm.opening_command} if self.task.uses_gripper else {}
         if self._spring:
-            arm.motors.drive([0.0] * size, [0.0] * size, openings)
+            arm.motors.drive(np.zeros((2, size)), openings)
             if point is not None:
                 left = max(self._due - self.time, 0.0)
                 speed = np.array(point["velocity"]) * (left > 0)
@@ -137,7 +137,7 @@ class SimulatedRobot:
             target = np.array(point["positions"]) + ahead * np.array(point["velocities"])
             speed = np.array(point["velocities"]) + (target - arm.joint_positions) / point.get("lookahead", CATCH_UP)
             speed = np.clip(speed, *np.outer((-1, 1), arm.limits.velocity))
-        arm.motors.drive(speed.tolist(), speed.tolist(), openings)
+        arm.motors.drive(np.array((speed, speed)), openings)
 
     def _reading(self) -> dict[str, Any]:
         arm, task = self.arm, self.task
@@ -148,8 +148,8 @@ class SimulatedRobot:
             measured[name] = seen[task.observation.slice(name)].tolist()
         return {
             "time": self.time,
-            "positions": arm.with_noise(arm.joint_positions),
-            "velocities": list(arm.joint_velocities),
+            "positions": arm.with_noise(arm.joint_positions.tolist()),
+            "velocities": arm.joint_velocities.tolist(),
             "wrench": list(arm.wrench),
             "opening": arm.opening,
             "measured": measured,

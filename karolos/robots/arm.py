@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..core import Field, FloatArray, Layout, Measure
+from ..core import Array, Field, FloatArray, Layout, Measure
 from ..core.parameters import RandomizedParameter, drawn_settings
 from ..core.seeding import Generator
 from ..errors import PluginError, UsageError
@@ -140,6 +140,7 @@ class Arm:
         self._values = {name: parameter.nominal for name, parameter in nominal.items()}
         self.gripper: Gripper | Cup | None = model.fingers.gripper if model.fingers else model.cup
         self.home_joints = model.home
+        self._rest = np.array(model.home)
         self.prepare(TaskNeeds(gripper=False, period=1 / 24))
 
     @classmethod
@@ -321,10 +322,9 @@ class Arm:
     def reset(self, generator: Generator) -> None:
         home, noise = self.model.home, self.reset_noise
         self._generator = generator
-        offsets = generator.uniform(-noise, noise, len(home)).tolist()
-        self._place([position + offset for position, offset in zip(home, offsets, strict=True)], 1.0, 1.0)
+        self._place(np.add(home, generator.uniform(-noise, noise, len(home))), 1.0, 1.0)
 
-    def _place(self, positions: Sequence[float], opening: float, command: float) -> None:
+    def _place(self, positions: Array, opening: float, command: float) -> None:
         """Place the joints there at rest, within their limits, and the gripper at `opening` with this command."""
         positions = self._clipped(positions)
         self.ramps.reset(positions)
@@ -344,15 +344,14 @@ class Arm:
         self._control.reset()
         self._path = 0.0
 
-    def _clipped(self, positions: Sequence[float]) -> list[float]:
-        """Joint positions within their limits."""
-        limits = zip(positions, self.limits.lower, self.limits.upper, strict=True)
-        return [min(max(position, low), high) for position, low, high in limits]
+    def _clipped(self, positions: Array) -> Array:
+        """Joint positions (n,) within their limits."""
+        return np.clip(positions, self.limits.lower, self.limits.upper)
 
     def place_tool(
         self, position: Vector, opening: float, *, orientation: Quaternion | None = None, closing: bool = False
     ) -> None:
-        joints: list[float] = list(self.model.home)
+        joints = np.array(self.model.home)
         target = self._target(position, orientation)
         for _ in range(100):
             configuration = self.chain.forward(joints)
@@ -360,8 +359,7 @@ class Arm:
             turned = 0.0 if orientation is None else dist(tool.x, target.x)  # a yaw that is home's is near anyway
             if max(dist(tool.position, position), dist(tool.z, target.z), turned) < PLACE_TOLERANCE:
                 break
-            changes = self.chain.step(configuration, target, self.posture(joints))
-            joints = self._clipped([joint + change for joint, change in zip(joints, changes, strict=True)])
+            joints = self._clipped(joints + self.chain.step(configuration, target, self.posture(joints)))
         reached = self.chain.forward(joints).tool.position
         if np.linalg.norm(np.subtract(reached, position)) > 0.005:
             raise PluginError(
@@ -375,9 +373,9 @@ class Arm:
         """A pose of the tool, by default pointing down as at home."""
         return downward(position, self.home_yaw) if orientation is None else Pose.at(position, orientation)
 
-    def posture(self, joints: Sequence[float]) -> list[float]:
+    def posture(self, joints: Array) -> Array:
         """Changes of the joints (n,) in rad that inverse kinematics prefers: back towards the home pose."""
-        return [POSTURE_GAIN * (home - value) for home, value in zip(self.model.home, joints, strict=True)]
+        return POSTURE_GAIN * (self._rest - joints)
 
     def act(self, action: Sequence[float]) -> None:
         values = [-1.0 if value < -1.0 else 1.0 if value > 1.0 else value for value in action]

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from math import atan2, cos, hypot, sin
-from operator import truediv
 from typing import ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
-from ..core import Field, Kind
+from ..core import Array, Field, Kind
 from ..errors import UsageError
 from ..simulation.geometry import (
     Orientations,
@@ -53,14 +52,14 @@ class ControlledArm(Protocol):
     motors: Motors
     ramps: Ramps
     configuration: Configuration
-    joint_positions: Sequence[float]
-    joint_velocities: Sequence[float]
+    joint_positions: Array
+    joint_velocities: Array
     tool_position: Vector
     tool_velocity: Vector
 
     def value(self, name: str) -> float: ...
 
-    def posture(self, joints: Sequence[float]) -> list[float]: ...
+    def posture(self, joints: Array) -> Array: ...
 
     def lowest(self) -> float: ...
 
@@ -69,7 +68,7 @@ class Way(NamedTuple):
     """The way that an expert wants the tool to go."""
 
     target: Pose
-    joints: Sequence[float]
+    joints: Array
     """Change of each joint that leads there, in rad."""
     slower: float
     """Smallest factor by which the motion must be slower than in one step, to stop in time."""
@@ -94,6 +93,7 @@ class Control:
 
     def __init__(self, arm: ControlledArm) -> None:
         self.arm = arm
+        self._most = np.array(arm.joint_step)
 
     @property
     def scales(self) -> dict[str, tuple[str, list[float]]]:
@@ -112,7 +112,7 @@ class Control:
     def reset(self) -> None:
         """Begin an episode, with the joints in their places and at rest."""
 
-    def changes(self, values: Sequence[float]) -> list[float]:
+    def changes(self, values: Sequence[float]) -> Array:
         """Changes of the joints (n,) in rad that an action means, its numbers in [-1, 1]."""
         raise NotImplementedError
 
@@ -120,9 +120,8 @@ class Control:
         """Aim the motors for one control step: joints on ramps of their speeds, the gripper as `Motors.drive` says."""
         arm = self.arm
         changes = self.changes(values)
-        begin = arm.limits.slowed(arm.joint_velocities)  # a joint that a contact drives faster is braked at once
-        end = arm.ramps.ramp(arm.joint_positions, begin, changes, arm.configuration)
-        arm.motors.drive(begin, end, openings)
+        ramp = arm.ramps.ramp(arm.joint_positions, arm.joint_velocities, changes, arm.configuration)
+        arm.motors.drive(ramp, openings)
 
     def observe(self) -> list[float]:
         """The numbers of `observed`."""
@@ -136,12 +135,10 @@ class Control:
         """The action that leads along a way."""
         raise NotImplementedError
 
-    def _within_steps(self, target: Pose) -> list[float]:
+    def _within_steps(self, target: Pose) -> Array:
         """Change of the joints (n,) towards a pose of the tool, scaled down so that no joint exceeds its step."""
         arm = self.arm
-        changes = arm.chain.step(arm.configuration, target, arm.posture(arm.joint_positions))
-        excess = max(map(truediv, map(abs, changes), arm.joint_step))
-        return [change / excess for change in changes] if excess > 1 else changes
+        return arm.chain.step(arm.configuration, target, arm.posture(arm.joint_positions), self._most)
 
     def _ahead(self, start: Vector, change: Sequence[float], low_z: float) -> Vector:
         """The position that is `change` m away from `start`, inside the workspace and not lower than `low_z`."""
@@ -183,19 +180,19 @@ class JointControl(Control):
             described("joint_accelerations", "joint steps"),
         )
 
-    def changes(self, values: Sequence[float]) -> list[float]:
-        return [step * value for step, value in zip(self.arm.joint_step, values, strict=False)]
+    def changes(self, values: Sequence[float]) -> Array:
+        return self._most * values[: len(self._most)]
 
     def observe_joints(self) -> Sequence[float]:
         arm = self.arm
         if arm.settings.joint_slots is None:
-            return [*arm.joint_positions, *arm.joint_velocities]
-        step = np.array(arm.joint_step)
+            return [*arm.joint_positions.tolist(), *arm.joint_velocities.tolist()]
+        step = self._most
         effects = arm.chain.jacobian(arm.configuration).T * step[:, None]
-        below = (np.array(arm.joint_positions) - arm.limits.lower) / step
-        above = (np.array(arm.limits.upper) - arm.joint_positions) / step
+        below = (arm.joint_positions - arm.limits.lower) / step
+        above = (arm.limits.upper - arm.joint_positions) / step
         rooms = np.clip(np.column_stack((below, above)), 0, MOST_ROOM)
-        speeds = arm.period * np.array(arm.joint_velocities) / step
+        speeds = arm.period * arm.joint_velocities / step
         # Above 1 a joint has its full speed within one control step.
         accelerations = np.minimum(arm.period**2 * np.array(arm.accelerations) / step, 1)
         values: list[float] = []
@@ -223,7 +220,7 @@ class CartesianControl(Control):
             self.action += (Field("yaw_change", 1, kind="axial"),)
             self.observed += (Field("tool_heading", 2, kind="vector"),)  # cosine and sine: an angle would jump
 
-    def changes(self, values: Sequence[float]) -> list[float]:
+    def changes(self, values: Sequence[float]) -> Array:
         arm = self.arm
         step = arm.tool_step
         change = step * values[0], step * values[1], step * values[2]
@@ -262,7 +259,7 @@ class PoseControl(Control):
     observed: tuple[Field, ...] = (POSITION, ROTATION, VELOCITY, SPIN)
     action: tuple[Field, ...] = (CHANGE, Field("tool_turn", 3, kind="axial"))
 
-    def changes(self, values: Sequence[float]) -> list[float]:
+    def changes(self, values: Sequence[float]) -> Array:
         tool = self.arm.configuration.tool
         return self._within_steps(Pose.at(*self._changed(tool.position, tool.orientation, values, self.arm.lowest())))
 
@@ -318,6 +315,7 @@ class ImpedanceControl(PoseControl):
 
     def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
+        self._still = np.zeros((2, arm.chain.size))
         if arm.settings.stiffness_range is not None:
             self.action = (*PoseControl.action, Field("stiffness", 1, kind="scalar"))
 
@@ -340,8 +338,7 @@ class ImpedanceControl(PoseControl):
 
     def act(self, values: Sequence[float], openings: Mapping[int, float]) -> None:
         arm = self.arm
-        still = [0.0] * arm.chain.size
-        arm.motors.drive(still, still, openings)
+        arm.motors.drive(self._still, openings)
         if arm.settings.stiffness_range is not None:
             low, high = arm.settings.stiffness_range
             self._attach(low * (high / low) ** (0.5 + 0.5 * values[6]))

@@ -124,10 +124,10 @@ def _reaches(
     target, pose = downward((x, y, z), yaw), np.array(home)
     low, high = (np.array([getattr(joint, end) for joint in joints]) for end in ("lower", "upper"))
     for _ in range(60):
-        now = chain.forward(pose.tolist())
+        now = chain.forward(pose)
         if max(dist(now.tool.position, place), dist(now.tool.z, target.z)) < REACHED:
             return True
-        change = np.array(chain.step(now, target, (0.1 * (np.array(home) - pose)).tolist()))
+        change = chain.step(now, target, 0.1 * (np.array(home) - pose))
         pose = np.clip(pose + np.clip(change, -0.5, 0.5), low, high)
     return False
 

@@ -31,28 +31,29 @@ def _approach(room, before, acceleration, period):
 
 
 @compiled
-def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
-    """Write the ends of the ramps of all joints in rad/s into `ends` (n,); see `ramps.Ramps`.
+def ramp(period, bounds, state, positions, velocities, changes, ramps, most, base, links, numbers):
+    """Write begin and end of the ramps of all joints in rad/s into `ramps` (2, n); see `ramps.Ramps`.
 
     Args:
         period: of a control step in s.
         bounds: (n, 5): lowest and highest position, largest speed and acceleration, time in which it brakes.
         state: references in rad and speeds in rad/s (2, n); written.
-        motion: positions, velocities and wanted changes of the joints (3, n).
+        positions, velocities, changes: the present ones and the wanted changes of the joints, (n,) each.
         most: largest speed of the tool in m/s; inf: no limit.
         base, links: of the chain, as in `forward`.
         numbers: of the chain at the positions.
     """
-    n = len(ends)
+    n, begins, ends = len(positions), ramps[0], ramps[1]
     share = 1.0
     for j in range(n):
+        begins[j] = min(max(velocities[j], -bounds[j, 2]), bounds[j, 2])
         limit = SPEED_SHARE * bounds[j, 2]
-        ends[j] = min(max(motion[2, j] / period, -limit), limit)
-        far = abs(ends[j] - motion[1, j])
+        ends[j] = min(max(changes[j] / period, -limit), limit)
+        far = abs(ends[j] - begins[j])
         if far * share > bounds[j, 3] * period:
             share = bounds[j, 3] * period / far
     for j in range(n):
-        at, v, rise = motion[0, j], motion[1, j], bounds[j, 3] * period
+        at, v, rise = positions[j], begins[j], bounds[j, 3] * period
         low, high, limit = bounds[j, 0], bounds[j, 1], bounds[j, 2]
         acceleration, braking = bounds[j, 3], bounds[j, 4]
         speed = v + share * (ends[j] - v)
@@ -73,7 +74,7 @@ def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
     after, there, share, slowed = np.empty(n), np.empty_like(numbers), 1.0, ends.copy()
     for _ in range(SCALINGS):  # until the tool moves at `most` after the step, or all joints brake
         for j in range(n):
-            after[j] = motion[0, j] + period / 2 * (motion[1, j] + slowed[j])
+            after[j] = positions[j] + period / 2 * (begins[j] + slowed[j])
         forward(base, links, after, there)
         x, y, z = velocity(there, slowed)
         speed = sqrt(x * x + y * y + z * z)
@@ -82,8 +83,8 @@ def ramp(period, bounds, state, motion, ends, most, base, links, numbers):
         share *= most / speed
         for j in range(n):
             rise = bounds[j, 3] * period
-            slowed[j] = min(max(share * ends[j], motion[1, j] - rise), motion[1, j] + rise)
+            slowed[j] = min(max(share * ends[j], begins[j] - rise), begins[j] + rise)
     if share < 1:  # nothing is caught up later
         for j in range(n):
-            state[0, j] = motion[0, j] + period / 2 * (motion[1, j] + slowed[j])
+            state[0, j] = positions[j] + period / 2 * (begins[j] + slowed[j])
             state[1, j] = ends[j] = slowed[j]

@@ -8,8 +8,9 @@ from math import inf
 
 import numpy as np
 
+from ..core import Array
 from ..simulation.interface import JointLimits
-from ..simulation.kinematics import Chain, Configuration
+from ..simulation.kinematics import Chain, Configuration, Numbers
 
 ACCELERATION_TIME = 1 / 24
 """Seconds in which a joint changes its speed by its largest speed, if no acceleration of the data sheet is used."""
@@ -67,29 +68,22 @@ class Ramps:
             ]
         )
 
-    def reset(self, positions: Sequence[float]) -> None:
+    def reset(self, positions: Numbers) -> None:
         """Start from these positions in rad, at rest."""
         self._state[:] = positions, [0.0] * len(positions)
 
-    def ramp(
-        self,
-        positions: Sequence[float],
-        velocities: Sequence[float],
-        changes: Sequence[float],
-        pose: Configuration | None = None,
-    ) -> list[float]:
-        """Speeds (n,) in rad/s at the end of a ramp that starts at `velocities` and changes the joints by `changes`.
+    def ramp(self, positions: Array, velocities: Array, changes: Array, pose: Configuration | None = None) -> Array:
+        """Speeds (2, n) in rad/s at begin and end of ramps that change joints at `positions` (n,) by `changes` (n,).
 
-        `pose` is the chain at `positions`; without it the speed of the tool is not limited.
+        They begin at `velocities` (n,), limited to the largest speeds: a joint that a contact drives faster is braked
+        at once. `pose` is the chain at `positions`; without it the speed of the tool is not limited.
         """
-        motion = np.array((positions, velocities, changes), float)
-        ends = np.empty(len(self._bounds))
-        if motion.shape[1:] != ends.shape:
-            raise ValueError(f"{motion.shape[1]} numbers for {len(ends)} joints")
+        ramps = np.empty((2, len(self._bounds)))
+        if not positions.shape == velocities.shape == changes.shape == ramps.shape[1:]:
+            raise ValueError(f"{changes.shape} numbers for {len(self._bounds)} joints")
         most, chain = inf, (NONE, NONE[None], NONE)
         if self._tool is not None and pose is not None:
             most = TOOL_SPEED_SHARE * self._tool[1]
             chain = self._tool[0].base, self._tool[0].links, pose.numbers
-        self._kernel.ramp(self._period, self._bounds, self._state, motion, ends, most, *chain)
-        speeds: list[float] = ends.tolist()
-        return speeds
+        self._kernel.ramp(self._period, self._bounds, self._state, positions, velocities, changes, ramps, most, *chain)
+        return ramps

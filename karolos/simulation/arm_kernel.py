@@ -78,7 +78,7 @@ def velocity(numbers, rates):
 
 
 @compiled
-def step(numbers, target, posture, damping, change):
+def step(numbers, target, posture, damping, most, change):
     """Write one step of damped least squares towards the pose `target` (12,) into `change` (n,); see `Chain.step`."""
     n = len(posture)
     rows, error, square = np.empty((n, 6)), np.empty(6), np.zeros((6, 6))
@@ -112,22 +112,26 @@ def step(numbers, target, posture, damping, change):
         for k in range(i + 1, 6):
             error[i] -= square[k, i] * error[k]
         error[i] /= square[i, i]
+    excess = 1.0
     for joint in range(n):
         change[joint] = posture[joint]
         for i in range(6):
             change[joint] += error[i] * rows[joint, i]
+        excess = max(excess, abs(change[joint]) / most[joint])
+    for joint in range(n):
+        change[joint] /= excess
 
 
 @compiled
 def lead(base, links, pose, target, rest, gain, damping, low, high, steps):
     """Change `pose` (n,) step by step until the tool is at `target` (12,); see `Chain.led`."""
     n = len(pose)
-    numbers, posture, change = np.empty(POSE + 6 * n), np.empty(n), np.empty(n)
+    numbers, posture, change, most = np.empty(POSE + 6 * n), np.empty(n), np.empty(n), np.full(n, np.inf)
     for _ in range(steps):
         forward(base, links, pose, numbers)
         for joint in range(n):
             posture[joint] = gain * (rest[joint] - pose[joint])
-        step(numbers, target, posture, damping, change)
+        step(numbers, target, posture, damping, most, change)
         largest = 0.0
         for joint in range(n):
             largest = max(largest, abs(change[joint]))
@@ -148,12 +152,10 @@ def walk(base, links, pose, target, place, stride, most, gain, damping, low, hig
             target[axis] = numbers[axis] + min(max(place[axis] - numbers[axis], -stride), stride)
         for joint in range(n):
             posture[joint] = gain * (home[joint] - pose[joint])
-        step(numbers, target, posture, damping, change)
-        share, largest = 1.0, 0.0
+        step(numbers, target, posture, damping, most, change)
+        largest = 0.0
         for joint in range(n):
-            share = max(share, abs(change[joint]) / most[joint])
             largest = max(largest, abs(change[joint]))
-        for joint in range(n):
-            pose[joint] = min(max(pose[joint] + change[joint] / share, low[joint]), high[joint])
+            pose[joint] = min(max(pose[joint] + change[joint], low[joint]), high[joint])
         if largest < ARRIVED:
             break

@@ -11,7 +11,6 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
-from operator import gt
 from pathlib import Path
 from typing import Any, ClassVar, Final, Literal, NamedTuple, Protocol
 
@@ -22,7 +21,7 @@ from ..core import Array, Expert, FloatArray, Generator, GoalRule, Layout, Measu
 from ..core.parameters import RandomizedParameter, drawn_settings
 from .geometry import UPRIGHT, Colour, Orientations, Quaternion, Vector
 from .geometry import Box as Box  # noqa: PLC0414  (plugins import it from here)
-from .kinematics import Configuration, Pose
+from .kinematics import Configuration, Numbers, Pose
 from .parts import Mechanism
 from .shapes import Inertia, Shape
 
@@ -74,12 +73,6 @@ class JointLimits:
     effort: tuple[float, ...]
     names: tuple[str, ...] = ()
     """Names of the joints, for messages; empty if they have none."""
-
-    def slowed(self, velocities: Sequence[float]) -> Sequence[float]:
-        """The velocities (n,), each limited to the joint's largest speed."""
-        if not any(map(gt, map(abs, velocities), self.velocity)):
-            return velocities
-        return [min(max(speed, -most), most) for speed, most in zip(velocities, self.velocity, strict=True)]
 
     def name(self, joint: int) -> str:
         """The name of a joint in messages, given its index; its number from 1 if it has none."""
@@ -314,18 +307,18 @@ class Motors(Protocol):
     def set_wrench_filter(self, seconds: float) -> None:
         """Set the time constant in s of the wrench's low-pass, before the first step; 0: none."""
 
-    def write(self, positions: Sequence[float], opening: float) -> None:
+    def write(self, positions: Numbers, opening: float) -> None:
         """Place the joints (n,) in rad and the gripper there at rest; the motors hold the arm still."""
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
-        """Set the target speeds of the next control step: from `begin` to `end` (n,) in rad/s, linear in time.
+    def drive(self, ramp: Array, openings: Mapping[int, float]) -> None:
+        """Set the target speeds of the next control step: a ramp from the first to the second row (2, n) in rad/s.
 
         After k of n physics steps a joint's target speed is begin + k / n (end - begin). `openings` of the gripper, in
         [0, 1], by the physics step of the control step in which each takes effect, from 0. Until then the gripper
         follows its last command. A cup sucks while its opening is below .5.
         """
 
-    def read(self) -> tuple[Sequence[float], Sequence[float], float]:
+    def read(self) -> tuple[Array, Array, float]:
         """Positions (n,) in rad and velocities (n,) in rad/s of the joints, opening of the gripper (0 without).
 
         For a cup: 1 without suction, .5 while it holds something (like fingers around an object), else 0.
@@ -486,9 +479,9 @@ class RobotView(Protocol):
     """Whether actions change joint positions, so that `turning` works."""
     home_joints: tuple[float, ...]
     """Joint positions of the home pose in rad: (n,)."""
-    joint_positions: Sequence[float]
+    joint_positions: Array
     """Current joint positions in rad: (n,)."""
-    joint_velocities: Sequence[float]
+    joint_velocities: Array
     """Current joint velocities in rad/s: (n,)."""
 
     tool: Pose

@@ -76,6 +76,8 @@ class Stride(NamedTuple):
     gain: float
 
 
+Numbers = Sequence[float] | Array
+"""One number per joint: (n,)."""
 Posture = tuple[Sequence[float], float]
 """Preferred joint positions (n,) in rad, and the share of the way to them that a step prefers."""
 Limits = tuple[Array, Array]
@@ -108,21 +110,22 @@ class Chain:
         self.links = np.array([*frames, tool_frame])
         """Translation in m and rotation of each joint and of the tool in the frame before: (n + 1, 12)."""
         self.base = np.array(base, float)
+        self._unlimited = np.full(self.size, np.inf)
         self._kernel = import_module(".arm_kernel", __package__)  # heavy, so it is imported when an arm is built
 
-    def forward(self, positions: Sequence[float]) -> Configuration:
+    def forward(self, positions: Numbers) -> Configuration:
         """The chain at joint positions (n,) in rad."""
         numbers = np.empty(12 + 6 * self.size)
         self._kernel.forward(self.base, self.links, self._per_joint(positions), numbers)
         a, b, c, d, e, f, g, h, i, j, k, l = numbers[:12].tolist()  # noqa: E741
         return Configuration(Pose((a, b, c), (d, e, f), (g, h, i), (j, k, l)), numbers)
 
-    def velocity(self, at: Configuration, rates: Sequence[float]) -> Vector:
+    def velocity(self, at: Configuration, rates: Numbers) -> Vector:
         """Velocity of the tool in m/s when the joints turn at rates (n,) in rad/s."""
         velocity: Vector = self._kernel.velocity(at.numbers, self._per_joint(rates))
         return velocity
 
-    def spin(self, at: Configuration, rates: Sequence[float]) -> Vector:
+    def spin(self, at: Configuration, rates: Numbers) -> Vector:
         """Angular velocity of the tool in rad/s when the joints turn at rates (n,) in rad/s."""
         x, y, z = (self._per_joint(rates) @ at.axes.reshape(-1, 6)[:, 3:]).tolist()
         return x, y, z
@@ -133,43 +136,42 @@ class Chain:
         self._kernel.jacobian(at.numbers, rows)
         return rows.T
 
-    def step(self, at: Configuration, target: Pose, posture: Sequence[float]) -> list[float]:
+    def step(self, at: Configuration, target: Pose, posture: Numbers, most: Array | None = None) -> Array:
         """Change of the joints (n,) in rad that moves the tool towards a pose: one step of damped least squares.
 
         Args:
             posture: preferred change (n,) in rad, projected into the null space of the tool's motion.
+            most: largest change of each joint (n,) in rad; all changes are scaled down until none exceeds it.
         """
-        change = np.empty(self.size)
-        self._kernel.step(at.numbers, _numbers(target), self._per_joint(posture), self.damping, change)
-        return change.tolist()
+        change, limits = np.empty(self.size), self._unlimited if most is None else most
+        self._kernel.step(at.numbers, _numbers(target), self._per_joint(posture), self.damping, limits, change)
+        return change
 
-    def led(self, positions: Sequence[float], target: Pose, limits: Limits, posture: Posture, steps: int) -> Array:
+    def led(self, positions: Numbers, target: Pose, limits: Limits, posture: Posture, steps: int) -> Array:
         """Joint positions (n,) in rad with the tool at a pose, by at most `steps` calls of `step` from `positions`.
 
         If they do not get there, the last positions are returned: look where the tool is.
         """
-        pose, (rest, gain) = self._per_joint(positions), posture
+        pose, (rest, gain) = self._per_joint(positions).copy(), posture
         wanted, preferred = _numbers(target), self._per_joint(rest)
         self._kernel.lead(self.base, self.links, pose, wanted, preferred, gain, self.damping, *limits, steps)
         return pose
 
-    def walked(
-        self, home: Sequence[float], place: Sequence[float], limits: Limits, stride: Stride, steps: int
-    ) -> Array:
+    def walked(self, home: Numbers, place: Sequence[float], limits: Limits, stride: Stride, steps: int) -> Array:
         """Joint positions (n,) to which actions lead a tool that points down, from home towards a place in m.
 
         In each of the steps the tool moves at most by `stride.tool` along every axis, and no joint by more than its
         `stride.joints`: all are slower then. They are drawn towards home.
         """
-        pose, at, tool = self._per_joint(home), np.array(place, float), self.forward(home).tool
+        pose, at, tool = self._per_joint(home).copy(), np.array(place, float), self.forward(home).tool
         target = _numbers(downward(tool.position, atan2(tool.x[1], tool.x[0])))  # its position changes in each step
         arguments = self.base, self.links, pose, target, at, stride.tool, stride.joints, stride.gain, self.damping
         self._kernel.walk(*arguments, *limits, steps)
         return pose
 
-    def _per_joint(self, numbers: Sequence[float]) -> Array:
+    def _per_joint(self, numbers: Numbers) -> Array:
         """The numbers as an array (n,). Raises ValueError unless there is one number per joint."""
-        array = np.array(numbers, float)
+        array = np.asarray(numbers, float)
         if array.shape != (self.size,):
             raise ValueError(f"{array.size} numbers for {self.size} joints")
         return array

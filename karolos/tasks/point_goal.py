@@ -38,9 +38,15 @@ class PointGoal(GoalRule):
         self._squared = np.float32(threshold**2)
 
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        if self.dense:
-            return -self.distance(achieved, desired)
-        return -np.asarray(~self.success(achieved, desired), np.float32)
+        return -self.loss(achieved, desired) if self.dense else super().reward(achieved, desired)
+
+    @property
+    def sparse(self) -> bool:
+        return not self.dense and type(self).reward is PointGoal.reward
+
+    def loss(self, achieved: Array, desired: Array) -> FloatArray:
+        """What the dense reward is lower than 0: shape (...)."""
+        return self.distance(achieved, desired)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         difference = achieved[..., self.place] - desired[..., self.place]

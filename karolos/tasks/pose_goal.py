@@ -80,11 +80,9 @@ class PoseGoal(PointGoal):
         self._axis = None if axis is None else np.float32(np.divide(axis, np.linalg.norm(axis)))
         self._reversed = axis is not None and any(np.dot(matrix_of(one) @ axis, axis) < 0 for one in symmetries)
 
-    def reward(self, achieved: Array, desired: Array) -> FloatArray:
-        if not self.dense:
-            return super().reward(achieved, desired)
+    def loss(self, achieved: Array, desired: Array) -> FloatArray:
         lost = self.distance(achieved, desired) + np.float32(METRES_PER_RADIAN) * self.angle(achieved, desired)
-        return np.asarray(-lost, np.float32)
+        return np.asarray(lost, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
         near = self.distance(achieved, desired) < self.threshold

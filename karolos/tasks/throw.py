@@ -291,7 +291,7 @@ class ThrowExpert(Expert):
 
     def act(self) -> FloatArray:
         robot, period = self._robot, self._robot.period
-        positions, velocities = np.array(robot.joint_positions), np.array(robot.joint_velocities)
+        positions, velocities = robot.joint_positions, robot.joint_velocities
         self._steps += 1
         to_start = self._start - positions
         near, slow = SETTLED_LIMITS

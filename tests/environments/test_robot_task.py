@@ -59,7 +59,7 @@ def test_physics_blow_up_truncates_with_finite_numbers_and_the_next_episode_is_s
     made = environment()
     reference = made.reset(3)
     made.step(np.zeros(3))
-    made.robot.motors.read = lambda: ([float("nan")] * 7, [0.0] * 7, 0.0)  # type: ignore[attr-defined]
+    made.robot.motors.read = lambda: (np.full(7, np.nan), np.zeros(7), 0.0)  # type: ignore[attr-defined]
     step = made.step(np.zeros(3))
     assert step.truncated
     assert not step.terminated

@@ -96,7 +96,7 @@ def test_a_joint_that_brakes_slowly_stops_inside_its_range(share, sign):
         at, velocity = sign * (1.5 - room), 0.0
         ramps.reset([at])
         for _ in range(120):
-            (end,) = ramps.ramp([at], [velocity], [sign * speed * period])
+            _, (end,) = ramps.ramp(*(np.array([one]) for one in (at, velocity, sign * speed * period)))
             assert abs(end - velocity) <= 24 * speed * share * period + 1e-9
             at, velocity = at + (velocity + end) / 2 * period, end
             assert sign * at < 1.5 or (sign * velocity < 0.02 * speed and sign * at < 1.506), "it meets no hard stop"

@@ -89,7 +89,7 @@ def test_a_motor_holds_what_its_torque_allows_whatever_the_substeps(divided, sha
 def test_a_motor_follows_a_ramp_of_speeds(divided):
     body, motors = pendulum(divided, 50 * WEIGHT)
     begin, end = 0.0, 1.5
-    motors.drive([begin], [end], {})
+    motors.drive(np.array([[begin], [end]]), {})
     divided.step()
     position, speed, *_ = body.joints([0])[0]
     assert position == pytest.approx((begin + end) / 2 * divided.period + (end - begin) * divided.lead, rel=1e-3)
@@ -104,7 +104,7 @@ def test_damping_brakes_a_joint_as_its_law_says_whatever_the_substeps(engine):
         world.set_gravity(0.0)
         _, motors = pendulum(world, 1.0)
         motors.set_joint_damping(0.5)
-        motors.drive([1.0], [1.0], {})
+        motors.drive(np.ones((2, 1)), {})
         run(world, 240 // substeps)
         motors.set_joint_friction(1 - 1e-9)
         run(world, 240 // substeps)
@@ -126,7 +126,7 @@ def test_a_spinning_box_has_its_angular_velocity_in_the_world(world):
 
 def test_a_link_has_the_frame_and_the_speed_of_its_joint(world):
     body, motors = pendulum(world, 50 * WEIGHT)
-    motors.drive([1.0], [1.0], {})
+    motors.drive(np.ones((2, 1)), {})
     world.step()
     angle, speed, *_ = body.joints([0])[0]
     state = body.link(0)
@@ -305,7 +305,7 @@ def test_finer_physics_steps_give_the_same_motion(engine):
         world = rig.world(engine, substeps=10 * rate // 240, rate=rate)
         _, motors = pendulum(world, 50 * WEIGHT)
         for begin, end in ((0.0, 1.0), (1.0, -1.0)):
-            motors.drive([begin], [end], {})
+            motors.drive(np.array([[begin], [end]]), {})
             world.step()
         ends.append((*motors.read()[0], *motors.read()[1], world.period))
     assert ends == pytest.approx(np.tile(ends[0], (3, 1)), abs=5e-3)

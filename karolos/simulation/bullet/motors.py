@@ -8,9 +8,11 @@ from math import exp
 
 import numpy as np
 
+from ...core import Array
 from ..engines import BULLET
 from ..geometry import Quaternion, Vector, matrix_of
 from ..interface import FINGER_RATE, OPENS, PHYSICS_RATE, Body, Fingers, Frame, JointLimits, Loads, Spring
+from ..kinematics import Numbers
 from .body import BulletBody
 
 STABLE_DAMPING = 0.5
@@ -126,7 +128,7 @@ class BulletMotors:
         """From now on the opening gripper releases static friction, see `World.release_in_motion`."""
         self._releases_in_motion = True
 
-    def write(self, positions: Sequence[float], opening: float) -> None:
+    def write(self, positions: Numbers, opening: float) -> None:
         self._begin = self._end = (0.0,) * len(self._arm)
         self._write(self._arm, positions, self._begin)
         self._speeds, self._loads, self.largest = (), [[0.0] * len(self._arm)] * 3, {}
@@ -138,7 +140,7 @@ class BulletMotors:
             self._anchor_unless(opens=False)
             self._drive_finger(targetPosition=finger)
 
-    def _write(self, joints: Sequence[int], positions: Sequence[float], velocities: Sequence[float]) -> None:
+    def _write(self, joints: Sequence[int], positions: Numbers, velocities: Sequence[float]) -> None:
         """Set joint states without a physics step."""
         states = [[(value,) for value in values] for values in (positions, velocities)]
         self._api.resetJointStatesMultiDof(self._body.index, joints, *states)
@@ -154,8 +156,8 @@ class BulletMotors:
             for link in self.pads:
                 self._body.change(link, frictionAnchor=int(not opens))
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
-        self._begin, self._end, self._openings = begin, end, openings
+    def drive(self, ramp: Array, openings: Mapping[int, float]) -> None:
+        (self._begin, self._end), self._openings = ramp.tolist(), openings
 
     def substep(self, step: int) -> None:
         """Set the target speeds of physics step number `step` of the control step: those at its end."""
@@ -209,7 +211,7 @@ class BulletMotors:
         self._wrench += share * (np.concatenate((own @ now[:3], own @ now[3:])) - self._wrench)
         self._peak = max(self._peak, float(np.linalg.norm(self._wrench[:3])))
 
-    def read(self) -> tuple[Sequence[float], Sequence[float], float]:
+    def read(self) -> tuple[Array, Array, float]:
         positions, velocities, _, torques = zip(*self._body.joints(self._joints), strict=True)
         before, self._speeds = self._speeds, velocities[: len(self._arm)]
         if before:  # the first time after `write` the arm is at rest, with torques of the episode before
@@ -220,4 +222,4 @@ class BulletMotors:
         if self._fingers is not None:
             self._opening = opening = self._fingers.opening(positions[-1])
             positions, velocities = positions[:-1], velocities[:-1]
-        return positions, velocities, opening
+        return np.array(positions), np.array(velocities), opening

@@ -504,6 +504,16 @@ class Hands(NamedTuple):
     """Number of each geom among the points of a cup's lip, -1 for others: (ngeom,)."""
 
 
+@compiled
+def spread(ramp, targets):
+    """Write a ramp of speeds (2, n) into the first columns of the targets, which end with its second row."""
+    for step in range(len(targets)):
+        fraction = (step + 1) / len(targets)
+        for joint in range(ramp.shape[1]):
+            first = ramp[0, joint]
+            targets[step, joint] = first + fraction * (ramp[1, joint] - first)
+
+
 @partial(compiled, told=True)
 def advance(model, data, layout, h, positions, velocities, driven, touching, loads, carried, springs, suction):
     """Take a physics step of h seconds for each row of `targets`.

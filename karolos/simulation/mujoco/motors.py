@@ -8,8 +8,10 @@ from typing import Any
 
 import numpy as np
 
+from ...core import Array
 from ..geometry import Quaternion, Vector
 from ..interface import FINGER_RATE, PHYSICS_RATE, Body, Cup, Fingers, Frame, JointLimits, Loads, Spring
+from ..kinematics import Numbers
 from .simulation import MujocoBody, Simulation
 
 MOTOR_IMPEDANCE = (0.9999, 0.9999, 0.001, 0.5, 2.0)
@@ -67,7 +69,6 @@ class MujocoMotors:
         self._size = len(joints)
         self._joints = [*joints, *pads]
         self._fingers = fingers
-        self._fractions = np.arange(1, simulation.substeps + 1)[:, None] / simulation.substeps
         self._damping = self._friction = 0.0
         self._mass = 1.0
         size = len(self._joints)
@@ -198,7 +199,7 @@ class MujocoMotors:
         felt: list[float] = self._row["wrench"].tolist()
         return felt
 
-    def write(self, positions: Sequence[float], opening: float) -> None:
+    def write(self, positions: Numbers, opening: float) -> None:
         data = self._simulation.writable()
         if self._tool is not None:
             self._row["wrench"] = self._row["peak"] = 0.0
@@ -212,11 +213,12 @@ class MujocoMotors:
         data.qvel[self._dofs] = 0.0
         self._simulation.largest[:] = self._simulation.loads[:] = 0.0
 
-    def drive(self, begin: Sequence[float], end: Sequence[float], openings: Mapping[int, float]) -> None:
-        first, targets = np.array(begin), self.targets
-        targets[:, : self._size] = first + self._fractions * (np.array(end) - first)
+    def drive(self, ramp: Array, openings: Mapping[int, float]) -> None:
+        targets = self.targets
+        self._simulation.kernel.spread(ramp, targets)
         if self._fingers is not None:
-            targets[:, -2:] = targets[-1, -1]
+            if 0 not in openings:
+                targets[:, -2:] = targets[-1, -1]
             for step, opening in openings.items():
                 targets[step:, -2:] = self._fingers.position(opening)
         elif self._cup is not None:
@@ -226,13 +228,12 @@ class MujocoMotors:
             for step, opening in openings.items():
                 suction[step:] = opening < 0.5
 
-    def read(self) -> tuple[Sequence[float], Sequence[float], float]:
+    def read(self) -> tuple[Array, Array, float]:
         data, size = self._simulation.ready(), self._size
-        positions = data.qpos[self._positions].tolist()
-        velocities = data.qvel[self._dofs].tolist()
+        positions, velocities = data.qpos[self._positions], data.qvel[self._dofs]
         opening = 0.0
         if self._fingers is not None:
-            opening = self._fingers.opening((positions[-2] + positions[-1]) / 2)
+            opening = self._fingers.opening(float(positions[-2] + positions[-1]) / 2)
             positions, velocities = positions[:size], velocities[:size]
         elif self._cup is not None:
             sucks = self._simulation.suction[self._place, -1]

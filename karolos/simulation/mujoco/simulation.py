@@ -89,12 +89,13 @@ class Simulation:
         option.disableflags = api.mjtDisableBit.mjDSBL_AUTORESET | api.mjtDisableBit.mjDSBL_EULERDAMP
         option.enableflags = api.mjtEnableBit.mjENBL_DIAGEXACT
         self._declare, self._write = declare, write
-        self._kernel = import_module(".kernel", __package__)  # heavy, so it is imported when a world is built
+        self.kernel = import_module(".kernel", __package__)  # heavy, so it is imported when a world is built
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
         self._advance: Callable[..., None] | None = None
         """The machine code of `kernel.advance` for this structure, from its first call on."""
+        self._arguments: tuple[Any, ...] | None = None
         self.stepped = False
         """Whether forces and contacts are valid: no state was written since they were computed."""
         self.material: Any = None
@@ -134,8 +135,19 @@ class Simulation:
 
     def advance(self, motors: Sequence[Any]) -> None:
         """Simulate one control step."""
-        data, model, kernel = self.ready(), self.model, self._kernel
-        names = kernel.Driven._fields[1:]
+        self.ready()
+        if self._arguments is None or len(motors) != 1:  # the copies that several motors need are not kept
+            self._arguments = self._gather(motors)
+        if self._advance is None:
+            self.kernel.advance(*self._arguments)
+            self._advance = self.kernel.advance_code(self._arguments)
+        else:
+            self._advance(*self._arguments)
+        self.stepped = True
+
+    def _gather(self, motors: Sequence[Any]) -> tuple[Any, ...]:
+        """The arguments of `kernel.advance`."""
+        data, names = self._data, self.kernel.Driven._fields[1:]
         if len(motors) == 1:
             driven = [getattr(motors[0], name) for name in names]
         else:
@@ -144,26 +156,20 @@ class Simulation:
                 np.concatenate([none, *(getattr(part, name) for part in motors)], axis=1 if name == "targets" else 0)
                 for none, name in zip(empty, names, strict=True)
             ]
-        arguments = (
-            model._address,
+        return (
+            self.model._address,
             data._address,
             self._layout,
             self.timestep,
             data.qpos,
             data.qvel,
-            kernel.Driven(self.rows[driven[-1][:, 1]], *driven),
+            self.kernel.Driven(self.rows[driven[-1][:, 1]], *driven),
             self._touching,
             self.loads,
             self._carried,
             self._springs,
             self.suction if self._cups else None,
         )
-        if self._advance is None:
-            kernel.advance(*arguments)
-            self._advance = kernel.advance_code(arguments)
-        else:
-            self._advance(*arguments)
-        self.stepped = True
 
     def motor_force(self, dof: int) -> float:
         """Torque or force (N m or N) of the motor of a degree of freedom in the last physics step."""
@@ -196,9 +202,11 @@ class Simulation:
                 self.model, self._data = self.spec.recompile(self.model, self._data)
         except ValueError as error:
             raise PluginError(f"mujoco cannot compile the model: {' '.join(str(error).split())}") from error
+        if self.model.ntree == 1:  # its constraints are always one island, so the solver need not look for others
+            self.model.opt.disableflags |= self.api.mjtDisableBit.mjDSBL_ISLAND
         self._scratch = self.api.MjData(self.model)
-        self._layout = self._kernel.layout(self._data)
-        self.tools = np.zeros(len(self.arms), self._kernel.TOOL)
+        self._layout = self.kernel.layout(self._data)
+        self.tools = np.zeros(len(self.arms), self.kernel.TOOL)
         self.hands, self.lips = np.full((2, self.model.ngeom), -1)
         self.suction = np.zeros((len(self.arms), self.substeps), np.bool_)
         self.material = np.zeros((self.model.ngeom, 3))
@@ -209,8 +217,8 @@ class Simulation:
             part.find(self.model)
         self._springs = np.array(sorted({row for row, _ in self.sprung.values()})) if self.sprung else None
         self._cups = bool(self.tools["cup"].any())
-        self._touching = self._kernel.Touching(self.material, self.model.geom_bodyid, self.peaks, self.largest)
-        self._carried = self._kernel.Hands(self.tools, self.hands, self.lips)
+        self._touching = self.kernel.Touching(self.material, self.model.geom_bodyid, self.peaks, self.largest)
+        self._carried = self.kernel.Hands(self.tools, self.hands, self.lips)
         self._advance = None
         self._structure_changed = self.stepped = False
         self._parameters_changed = True
@@ -226,7 +234,7 @@ class Simulation:
         self.rows = np.where(driven, np.cumsum(driven) - 1, -1)
         """Row of each degree of freedom's motor among the constraints, after those of equality; -1 without a motor."""
         self.api.mj_setConst(model, self._scratch)  # it uses the data that it gets as workspace
-        self._parameters_changed = False
+        self._arguments, self._parameters_changed = None, False
 
 
 LINK_FRICTION = 0.5
@@ -308,9 +316,10 @@ class MujocoBody:
     def velocity(self) -> tuple[Vector, Vector]:
         if not self.free:
             return (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-        dof = self.dofs[0]
-        vx, vy, vz, *spin = self._simulation.ready().qvel[dof : dof + 6].tolist()
-        return (vx, vy, vz), rotated(self.pose()[1], spin)  # a free joint's angular velocity is in the body's frame
+        dof, first, data = self.dofs[0], self.positions[0], self._simulation.ready()
+        vx, vy, vz, *spin = data.qvel[dof : dof + 6].tolist()
+        w, x, y, z = data.qpos[first + 3 : first + 7].tolist()
+        return (vx, vy, vz), rotated((x, y, z, w), spin)  # a free joint's angular velocity is in the body's frame
 
     def set_velocity(self, velocity: Vector) -> None:
         data, dof = self._simulation.writable(), self.dofs[0]
