@@ -1,7 +1,9 @@
 """The driver `ur` against a fake controller in a process of its own, through ur-rtde, which nobody here wrote."""
 
+import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 
 import pytest
@@ -13,17 +15,24 @@ from support.bundles import bundle_of
 pytest.importorskip("rtde_control", reason="ur-rtde is not installed")
 pytestmark = pytest.mark.xdist_group("bundle")
 HOST = "127.0.0.31"
+COMMAND = "import sys; from karolos_deploy.command import main; sys.exit(main())"
 
 
 @pytest.fixture(scope="module")
-def controller() -> Iterator[str]:
-    """The address of the requests of a fake controller, whose start takes longer than a test."""
+def process() -> Iterator[subprocess.Popen[str]]:
+    """A fake controller, whose start takes longer than a test."""
     order = [sys.executable, "-m", "karolos.export.fake_ur", str(bundle_of("ur5_pick")), HOST]
     with subprocess.Popen(order, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        yield process.stdout.readline().strip()
+        yield process
         assert process.stdin is not None
         process.stdin.close()
+
+
+@pytest.fixture(scope="module")
+def controller(process: subprocess.Popen[str]) -> str:
+    """The address of its requests."""
+    assert process.stdout is not None
+    return process.stdout.readline().strip()
 
 
 @pytest.fixture
@@ -63,6 +72,24 @@ def test_a_controller_that_fails_gets_no_further_set_point(fault, whole, control
     assert after["points"] == before["points"] <= 60
     assert after["speed"] < 0.05
     driver.close()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no process can be frozen")
+def test_a_controller_that_freezes_ends_the_command(whole, process, controller, asked):
+    order = [sys.executable, "-c", COMMAND, str(whole), "--move", "--driver", "ur"]
+    given = [f"--set={one}" for one in (f"host={HOST}", f"perception={controller}", "watchdog=1")]
+    with subprocess.Popen([*order, *given], stderr=subprocess.PIPE, text=True) as command:
+        while asked.ask(do="state")["points"] < 10:
+            assert command.poll() is None
+            time.sleep(0.05)
+        process.send_signal(signal.SIGSTOP)
+        try:  # the client would wait for minutes
+            _, told = command.communicate(timeout=20)
+        finally:
+            process.send_signal(signal.SIGCONT)
+            command.kill()
+    assert command.returncode == 3
+    assert "stopped: " in told
 
 
 def test_another_robot_and_another_payload_are_refused(whole, asked):

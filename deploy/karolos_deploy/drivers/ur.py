@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import socket
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from concurrent.futures import Future
+from threading import Thread
 from typing import Any, ClassVar
 
 import numpy as np
@@ -37,6 +39,8 @@ PLAYING = 2
 """Runtime state of a controller whose program runs."""
 DECELERATION = 5.0
 """Deceleration of a controlled stop, rad/s2."""
+ANSWER_SECONDS = 2.0
+"""Longest time in which a controller answers a command. The client would wait and connect again for minutes."""
 
 
 class UR(SensedDriver):
@@ -61,6 +65,8 @@ class UR(SensedDriver):
         self._control: Any = None
         self._time = -1.0
         self._gripper: Any = None
+        self._silent = False
+        """Whether the controller did not answer. Every further call of the client would wait for it."""
 
     def connect(self) -> dict[str, Any]:
         try:
@@ -144,7 +150,7 @@ class UR(SensedDriver):
             return
         self._sensors.wanted = point.opening
         try:
-            done = self._press(point) if point.positions is None else self._follow(point)
+            done = self._answered(self._press if point.positions is None else self._follow, point)
         except RuntimeError as error:  # the client tried to connect again
             raise Fault("connection lost", str(error).splitlines()[0]) from None
         if done:
@@ -157,6 +163,23 @@ class UR(SensedDriver):
                 raise Fault(reading.state, "the robot says that it does not move")
             time.sleep(0.01)
         raise Fault("refused", "the controller did not accept a set point")
+
+    def _answered(self, call: Callable[..., Any], *arguments: Any) -> Any:
+        """The result of a call of the client. Raises Fault if the controller does not answer."""
+        answer: Future[Any] = Future()
+
+        def ask() -> None:
+            try:
+                answer.set_result(call(*arguments))
+            except RuntimeError as error:
+                answer.set_exception(error)
+
+        Thread(target=ask, daemon=True).start()
+        try:
+            return answer.result(ANSWER_SECONDS)
+        except TimeoutError:
+            self._silent = True
+            raise Fault("connection lost", f"the controller did not answer for {ANSWER_SECONDS:g} s") from None
 
     def _follow(self, point: SetPoint) -> bool:
         """Let the joints follow a set point."""
@@ -180,20 +203,20 @@ class UR(SensedDriver):
 
     def stop(self) -> None:
         self._moves = False
-        if self._control is None or not self._receive.isConnected():
+        if self._control is None or self._silent or not self._receive.isConnected():
             return  # the client would connect again; the controller's watchdog has stopped the robot
         try:
             if self._impedance:
-                self._control.forceModeStop()
+                self._answered(self._control.forceModeStop)
             else:
-                self._control.servoStop(DECELERATION)
-        except RuntimeError:
+                self._answered(self._control.servoStop, DECELERATION)
+        except (RuntimeError, Fault):
             pass  # the watchdog stops it
 
     def close(self) -> None:
         super().close()
         for one in (self._control, self._receive):
-            if one is not None:
+            if one is not None and not self._silent:
                 one.disconnect()
         if self._gripper is not None:
             self._gripper.close()
