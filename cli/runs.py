@@ -95,6 +95,8 @@ def list_runs(
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
+    if csv and json:
+        raise UsageError("--csv cannot be combined with --json", hint="choose one")
     if watch:
         if given or trash:
             raise UsageError(f"--watch takes no {given[0] if given else '--trash'}")

@@ -93,6 +93,7 @@ def test_a_group_has_one_run_per_seed_and_counts_those_that_never_reach_95(runs)
         (["--watch", "--trash"], "--watch takes no --trash"),
         (["--trash", "--json", "--columns", "run"], "--trash takes no --columns"),
         (["--group", "--columns", "run"], "--group cannot be combined with --columns"),
+        (["--csv", "--json"], "--csv cannot be combined with --json"),
         (["--sort", "sed"], "no run has a column 'sed'"),
         (["--group", "--sort", "seed"], "there is no column 'seed' with --group"),
         (["--state", "done"], "there is no state 'done'"),
