@@ -80,7 +80,7 @@ class Ramps:
         """
         ramps = np.empty((2, len(self._bounds)))
         if not positions.shape == velocities.shape == changes.shape == ramps.shape[1:]:
-            raise ValueError(f"{changes.shape} numbers for {len(self._bounds)} joints")
+            raise ValueError(f"{positions.shape} {velocities.shape} {changes.shape}: each needs {len(self._bounds)} numbers")
         most, chain = inf, (NONE, NONE[None], NONE)
         if self._tool is not None and pose is not None:
             most = TOOL_SPEED_SHARE * self._tool[1]
