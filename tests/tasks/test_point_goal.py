@@ -7,6 +7,9 @@ from hypothesis.extra.numpy import arrays
 from karolos.errors import RunError
 from karolos.simulation.interface import Box
 from karolos.tasks.point_goal import Places, PointGoal, sample_position
+from karolos.tasks.pose_goal import PoseGoal
+from karolos.tasks.slide import Rest
+from karolos.tasks.throw import Landing
 
 points = arrays(np.float32, (5, 3), elements=st.floats(-2, 2, width=32))
 SPARSE = PointGoal(0.05, dense=False, span=10.0)
@@ -31,6 +34,18 @@ def test_rewards_lie_in_the_declared_range(achieved, desired):
         assert rewards.dtype == np.float32
         assert (rewards >= rule.reward_range[0]).all()
         assert (rewards <= rule.reward_range[1]).all()
+
+
+class Kinder(PointGoal):
+    def reward(self, achieved, desired):
+        return np.zeros(achieved.shape[:-1], np.float32)
+
+
+def test_only_a_rule_whose_reward_follows_from_success_says_so():
+    assert SPARSE.sparse
+    assert PoseGoal(0.05, 0.1, dense=False, span=1.0).sparse
+    others = DENSE, Places(0.05), Kinder(0.05, dense=False, span=1.0), Landing(0.05, dense=False, failure_cost=0.5)
+    assert not any(rule.sparse for rule in (*others, Rest(0.05, dense=False, span=1.0, reward_share=1.0)))
 
 
 def test_reaching_a_goal_ends_nothing():
