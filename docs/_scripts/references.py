@@ -38,7 +38,7 @@ TRANSFERS = REFERENCE / "transfers"
 """A folder per matrix, called as its spec: rows.jsonl, which --json printed, and the resolved spec of each variant."""
 FILES = ("spec.yaml", "resolved.json", "run.json", "state.json", "tests.jsonl", "final.jsonl", "labels.json")
 """What is kept of a run: no weights, no training episodes."""
-RETURN_PLACES, MEASURE_DIGITS = 2, 4
+RETURN_PLACES, MEASURE_DIGITS = 2, 3
 """Decimal places that are kept of the return of an episode, and significant digits of a measure."""
 SHARED = "shared-machine"
 """Tag of runs that shared their machine with other work: their times are upper limits."""
@@ -124,7 +124,7 @@ def add(path: Path) -> Path:
     for name in FILES:
         if (path / name).exists():
             shutil.copy(path / name, target)
-    _leave_out(target / "tests.jsonl", "measures", "distances")
+    _leave_out(target / "tests.jsonl", "measures", "distances", "reset")
     if (target / "final.jsonl").exists():
         _leave_out(target / "final.jsonl", "distances")  # the measure final_distance has them, too
         _leave_out(target / "final.jsonl", "measures", after=1)  # of the best policy, behind that of the last one
