@@ -95,8 +95,9 @@ def list_runs(
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
-    if csv and json:
-        raise UsageError("--csv cannot be combined with --json", hint="choose one")
+    for one, other in (("--csv", "--json"), ("--group", "--columns")):
+        if one in given and other in given:
+            raise UsageError(f"{one} cannot be combined with {other}", hint=f"leave out {other}")
     if watch:
         if given or trash:
             raise UsageError(f"--watch takes no {given[0] if given else '--trash'}")
@@ -113,8 +114,6 @@ def list_runs(
             say(f"there are no runs in the trash of {runs}")
         print_rows([{"run": path.name, "folder": str(path)} for path in paths], json=json, line="{run}")
         return
-    if group and columns is not None:
-        raise UsageError("--group cannot be combined with --columns", hint="leave out --columns")
     store = open_store(runs, database)
     if store is None:
         say(f"no runs in {runs} yet; `karolos run SPEC` makes one")

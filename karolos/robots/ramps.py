@@ -80,7 +80,7 @@ class Ramps:
         """
         ramps = np.empty((2, len(self._bounds)))
         if not positions.shape == velocities.shape == changes.shape == ramps.shape[1:]:
-            raise ValueError(f"{positions.shape} {velocities.shape} {changes.shape}: each needs {len(self._bounds)} numbers")
+            raise ValueError(f"{positions.shape} {velocities.shape} {changes.shape}: (n,) with n = {len(self._bounds)}")
         most, chain = inf, (NONE, NONE[None], NONE)
         if self._tool is not None and pose is not None:
             most = TOOL_SPEED_SHARE * self._tool[1]
