@@ -95,9 +95,9 @@ def list_runs(
     chosen = {"a filter": where, "--state": state, "--limit": limit, "--columns": columns, "--sort": sort}
     chosen |= {"--csv": csv, "--json": json, "--group": group, "--trials": trials}
     given = [name for name, value in chosen.items() if value]
-    for one, other in (("--csv", "--json"), ("--group", "--columns")):
-        if one in given and other in given:
-            raise UsageError(f"{one} cannot be combined with {other}", hint=f"leave out {other}")
+    exclusive = (("--csv", "--json"), ("--group", "--columns"))
+    if both := next((pair for pair in exclusive if set(pair) <= set(given)), None):
+        raise UsageError(f"{both[0]} cannot be combined with {both[1]}", hint=f"leave out {both[1]}")
     if watch:
         if given or trash:
             raise UsageError(f"--watch takes no {given[0] if given else '--trash'}")
