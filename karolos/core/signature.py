@@ -114,13 +114,13 @@ class GoalRule(ABC):
     def reward(self, achieved: Array, desired: Array) -> FloatArray:
         """Reward of a step that arrives at `achieved` (..., a) with the goal `desired` (..., d): shape (...).
 
-        By default it is sparse: 0 on success, else -1. Set `reward_range` with another one.
+        By default it is sparse: 0 on success, else -1. The rule's `reward_range` is then (-1, 0).
         """
         return np.subtract(self.success(achieved, desired), 1, dtype=np.float32)
 
     @property
     def sparse(self) -> bool:
-        """Whether the reward is 0 on success, else -1: an environment need not compute it then."""
+        """Whether the reward is 0 on success, else -1, so that success gives it."""
         return type(self).reward is GoalRule.reward
 
     @abstractmethod

@@ -45,7 +45,7 @@ class PointGoal(GoalRule):
         return not self.dense and type(self).reward is PointGoal.reward
 
     def loss(self, achieved: Array, desired: Array) -> FloatArray:
-        """What the dense reward is lower than 0: shape (...)."""
+        """Minus the dense reward, here the distance in m: shape (...)."""
         return self.distance(achieved, desired)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
