@@ -365,7 +365,7 @@ def _learning(
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
-    """One metric: a row per source, a column per target; of many targets a row each."""
+    """One metric: a row per source, a column per target; for many targets a row per target."""
     rows = [(source, *map(tables.estimate, found)) for source, found in report.matrix(name)]
     columns = ["from", *(f"to {label}" for label in report.labels)]
     if len(report.labels) > MANY:

@@ -233,7 +233,7 @@ def file_overrides(
 
 
 def kept_scores(runs: Path) -> list[dict[str, Any]]:
-    """Tests of policies on other robots that run folders hold, and `runs`/shipped of policies that ship.
+    """Tests of policies on other robots, from run folders and, for shipped policies, from `runs`/shipped.
 
     Each is a row of JSON values: policy, robot, gripper, then as `Evaluation.changed_row`.
     """
@@ -250,7 +250,7 @@ def kept_scores(runs: Path) -> list[dict[str, Any]]:
 
 
 def kept_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """What `kept_scores` found, a row for each test."""
+    """The results of `kept_scores`, a row for each test."""
     columns: Columns[dict[str, Any]] = {
         "robot": lambda one: one["robot"],
         "gripper": lambda one: "own" if one["gripper"] == "null" else one["gripper"],

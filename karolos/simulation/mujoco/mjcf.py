@@ -40,7 +40,7 @@ FIXTURES = "docs/parts.md lists what of MJCF is known; a URDF may say more"
 
 
 def fixture(path: Path, root: Element, lines: dict[Element, int], collision: meshes.Collision | None) -> Mechanism:
-    """A fixture or an object with joints. Raises PluginError with the line of what cannot be simulated.
+    """A fixture or an object with joints. Raises PluginError with the line that cannot be simulated.
 
     Args:
         path: of the file.
