@@ -36,7 +36,7 @@ from .matrix_report import targets_table
 
 CAUSES = {
     "overloaded": "a force or a torque beyond the limits of a protective stop or of the task",
-    "touched": "a link that is no pad touches an object, the floor or another link",
+    "touched": "a link other than a pad touches an object, the floor or another link",
     "joint limit": "a joint is at an end of its range",
     "dropped": "an object was between the pads, and is not any more",
     "unreachable": "actions do not move the tool any more",
@@ -286,7 +286,7 @@ def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
     """Write the page of a robot's scores. Names of tasks link to films in the same folder. Raises MachineError."""
     done = [one for one in scores if one.success is not None]
-    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks surely above 90 %, nothing trained"
+    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks: interval above 90 %, no training"
     table, notes = scores_table(scores), [f"{cause}: {what}" for cause, what in CAUSES.items()]
     notes.append("in brackets the 95 % Wilson interval; a failure counts under the first cause that applies")
     sections = [
@@ -294,7 +294,7 @@ def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Seq
         Section(
             "Policies that never saw this robot", table=table, links=[one.film or "" for one in scores], notes=notes
         ),
-        *([Section("What is assumed of the file", notes=assumed)] if assumed else []),
+        *([Section("Assumptions about the file", notes=assumed)] if assumed else []),
     ]
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
