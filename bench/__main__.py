@@ -1,4 +1,4 @@
-"""`python -m bench NAME [--json]`: how fast the parts are on this machine, beside a peer measured in the same run.
+"""`python -m bench NAME [--json]`: the speed of the parts on this machine, next to a peer measured in the same run.
 
 The options of a benchmark are the parameters of its function `measure`, which yields rows.
 """

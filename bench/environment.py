@@ -1,4 +1,4 @@
-"""How fast an environment steps, beside the physics of the same steps alone, or beside panda-gym.
+"""Steps per second of an environment, compared with bare physics or with panda-gym.
 
 Physics is timed inside the steps: an arm that moves costs more than one at rest, so that a loop of physics without
 actions would be an unfair peer. Times are processor time of this thread.

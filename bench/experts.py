@@ -1,4 +1,4 @@
-"""Success of the scripted experts beside a random policy: whether each robot can solve each task."""
+"""Success of the scripted experts and of a random policy, for each robot with each task."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the zoo's settings reach on panda-gym's stacking, sliding and flipping in a given time, by two measures."""
+"""Success with the zoo's settings on panda-gym's stacking, sliding and flipping in a given time, by two rules."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ Task = Literal["stack", "slide", "flip"]
 
 
 def measure(*, task: Task = "stack", minutes: float = 10.0, episodes: int = 100, seed: int = 0) -> Iterator[Row]:
-    """Success at the last step of an episode after so many minutes of training: by panda-gym, then by karolos' measure.
+    """Success at the last step of an episode after this many minutes of training, by both rules.
 
     Ours: `stack` one cube on the other within 1.5 cm, let go and at rest, wherever they are; `slide` the puck within 5
     cm and at rest; `flip` within 15 degrees.

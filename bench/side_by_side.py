@@ -1,4 +1,4 @@
-"""How contestants are measured side by side, and the row that comes of it.
+"""Measures contestants side by side, and makes the rows of results.
 
 Contestants take turns, so that load from other programs hits all of them alike. Figures are medians
 over the turns, and the ratio is the median of the turns' ratios.
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 @dataclass(frozen=True)
 class Row:
-    """One measurement, and the peer's measurement beside it."""
+    """One measurement, and the peer's measurement."""
 
     case: str
     value: float
@@ -72,14 +72,14 @@ def beside(case: str, values: Sequence[float], unit: str, peer: str, peer_values
 
 
 def seconds_of(work: Callable[[], object], clock: Callable[[], float] = perf_counter) -> float:
-    """Seconds that a call takes by this clock; `process_time` does not count what other programs take meanwhile."""
+    """Seconds that a call takes by this clock; `process_time` does not count the time of other programs."""
     started = clock()
     work()
     return clock() - started
 
 
 def require(*modules: str, hint: str) -> list[str]:
-    """Those modules of peers that are installed. Raises a MachineError with this hint where there is none."""
+    """The installed ones of these modules of peers. Raises a MachineError with this hint if there is none."""
     found = [name for name in modules if find_spec(name) is not None]
     if not found:
         raise MachineError(f"{' and '.join(modules)} not installed, so there is no peer to measure", hint=hint)

@@ -1,4 +1,4 @@
-"""Gradient updates per second of each agent that learns from replay, beside stable-baselines3 (PyTorch) and SBX (JAX).
+"""Gradient updates per second of each agent that learns from replay, next to stable-baselines3 (PyTorch) and SBX (JAX).
 
 All have two hidden layers of 256 units, batches of 256, 20 observed numbers and 4 actions, and sample from a full
 buffer of their own. With one thread, processor time counts, which other programs hardly change.

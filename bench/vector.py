@@ -1,4 +1,4 @@
-"""`gymnasium.make_vec` over the orchestrator beside gymnasium's AsyncVectorEnv, which has a process per environment."""
+"""`gymnasium.make_vec` over the orchestrator, next to gymnasium's AsyncVectorEnv with a process per environment."""
 
 from __future__ import annotations
 

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 SIDE_HELP = (
-    "A run (its id, the beginning of its id, its folder or @last), or a spec file: a run of it as it would be now."
+    "A run (its id, the beginning of its id, its folder or @last), or a spec file (a run that it would make now)."
 )
 
 
@@ -202,7 +202,7 @@ def _print_comparison(comparison: Comparison) -> None:
 
 def diff(
     a: Annotated[str, typer.Argument(metavar="A", help=SIDE_HELP, autocompletion=complete_run)],
-    b: Annotated[str, typer.Argument(metavar="B", help="As A.", autocompletion=complete_run)],
+    b: Annotated[str, typer.Argument(metavar="B", help="Another run or spec file.", autocompletion=complete_run)],
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,

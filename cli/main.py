@@ -105,7 +105,7 @@ def main() -> None:
     try:
         os.getcwd()
     except FileNotFoundError:
-        say("the current folder was removed, perhaps made again since; change into one that exists, e.g. cd .")
+        say("the current folder was removed (and perhaps made again); change into an existing one, e.g. cd .")
         sys.exit(MachineError.exit_code)
     sys.stderr = system.unfailing(sys.stderr)
     if signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:

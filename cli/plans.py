@@ -259,7 +259,7 @@ def suite(
         str | None,
         typer.Option(
             metavar="DURATION",
-            help="Run one seed of each spec within this time, e.g. 2h. Specs share the time by their steps. A run "
+            help="Run one seed of each spec within this time, e.g. 2h. Specs share it in proportion to steps. A run "
             "that exceeds its share is stopped and reported as it is.",
         ),
     ] = None,

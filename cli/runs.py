@@ -74,7 +74,7 @@ def list_runs(
             metavar="STATE", help="List runs in this state: created, running, finished, failed, stopped or lost."
         ),
     ] = None,
-    limit: Annotated[int | None, typer.Option(min=1, help="List only the newest runs, this number of them.")] = None,
+    limit: Annotated[int | None, typer.Option(min=1, help="List only this number of the newest runs.")] = None,
     trials: Annotated[bool, typer.Option("--trials", help="Also list the runs of sweeps.")] = False,
     trash: Annotated[bool, typer.Option("--trash", help="List the runs in the trash.")] = False,
     watch: Annotated[
@@ -330,7 +330,7 @@ def _relabel(
 def remove(
     run: ManyRuns = None,
     where: Where = None,
-    purge: Annotated[bool, typer.Option("--purge", help="Delete the whole trash for good. Without RUN.")] = False,
+    purge: Annotated[bool, typer.Option("--purge", help="Delete the whole trash permanently. Takes no RUN.")] = False,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
@@ -364,7 +364,7 @@ def remove(
 def stop(run: OneRun, runs: Runs = Path("runs"), database: Database = None) -> None:
     """Write a checkpoint and stop a run, whatever started it. Other seeds of its experiment go on.
 
-    The command waits until the run has stopped. After Ctrl-C the run still stops, without the waiting.
+    The command waits until the run has stopped. Ctrl-C ends the waiting; the run still stops.
     """
     from karolos.system.files import write_whole
 
@@ -478,7 +478,7 @@ def push_runs(
     database: Database = None,
     json: Json = False,
 ) -> None:
-    """Send runs to a tracker: tests, settings and records. Runs that the tracker knows are completed."""
+    """Send runs to a tracker: tests, settings and records. A run that the tracker has gets the missing parts."""
     from karolos.experiment.tracking import push
     from karolos.records import RunFolder
 

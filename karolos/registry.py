@@ -138,7 +138,7 @@ def _points(dist: importlib.metadata.Distribution) -> importlib.metadata.EntryPo
     place = getattr(dist, "_path", None)  # a zip file or a special importer may have none
     file = str(place / "entry_points.txt") if place else ""
     if os.path.exists(file) and not (os.path.isfile(file) and os.path.getsize(file) <= LARGEST):
-        raise OSError(f"no plain file of at most {LARGEST:,} bytes")
+        raise OSError(f"not a plain file of at most {LARGEST:,} bytes")
     return _ENTRY_POINTS(dist)
 
 

@@ -192,7 +192,7 @@ class ActorCritic(TorchAgent):
         return JointNetwork(policy_shape, generator, device), JointNetwork(critic_shape, generator, device)
 
     def check(self, buffer: Buffer, *, demonstrations: bool) -> None:
-        """Raise a UsageError if the agent shall imitate without anything to imitate, or the reverse."""
+        """Raise a UsageError if imitation is set and nothing can be imitated, or the reverse."""
         if self.settings.imitation == 0:
             super().check(buffer, demonstrations=demonstrations)
         elif not (demonstrations or buffer.marks_relabelled):
@@ -349,7 +349,7 @@ class Quantiles(BaseSettings):
 
 
 class QuantileCritic(Critic):
-    """Each network gives quantiles of the return. Targets leave the `drop` x members largest out."""
+    """Each network gives quantiles of the return. Targets leave out the `drop` x members largest."""
 
     def __init__(self, settings: Quantiles) -> None:
         self.columns = settings.quantiles

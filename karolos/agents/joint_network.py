@@ -68,7 +68,7 @@ class JointTape(NamedTuple):
 
 
 class JointNetwork(MLP):
-    """See the module. It computes in float32.
+    """The network of this module. It computes in float32.
 
     Args:
         generator: draws the weights, on the CPU: uniform in +- 1 / sqrt(input columns).

@@ -196,7 +196,7 @@ class MLP:
 
     @torch.no_grad()
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a network of another shape."""
+        """Load a state. Raises UsageError if it belongs to a network of another shape."""
         own = {name: tuple(view.shape) for name, view in self.named.items()}
         stored = {name: tuple(view.shape) for name, view in state.items()}
         if stored != own:

@@ -405,7 +405,7 @@ class Value:
         return {"network": self.network.state(), "returns": self._returns.state()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError when the state is of a network of another shape."""
+        """Load a state. Raises UsageError if it belongs to a network of another shape."""
         self.network.load_state(state["network"])
         self._returns.load_state(state["returns"])
 

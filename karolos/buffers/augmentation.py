@@ -65,7 +65,7 @@ class Augmentation:
             le=3.1416,
             json_schema_extra=LATER,
             description="largest turn of the frames of tool and goal about their own z, the same for both, rad; for "
-            "tasks in which no direction of a tool need be called x, with actions along the axes of the base",
+            "tasks in which the direction of the tool's x axis is arbitrary, with actions along the axes of the base",
         )
         batches: int | None = Setting(
             None, ge=1, description="number of batches to change; later batches are left as they are; null: change all"

@@ -45,8 +45,8 @@ class Hindsight:
             0.0,
             ge=0,
             le=1,
-            description="share of the new goals that the transition itself achieves, with every strategy: such a "
-            "transition shows the effect of its action at once",
+            description="share of the new goals that are the achieved goal of the transition itself, with every "
+            "strategy: such a transition shows the effect of its action at once",
         )
         min_displacement: float = Setting(
             0.01,
@@ -60,7 +60,7 @@ class Hindsight:
             le=1,
             json_schema_extra=LATER,
             description="share of the transitions without a new goal that get the desired goal of another sampled "
-            "transition: what was done for one goal is judged by the others",
+            "transition: so the agent also learns how an action serves other goals",
         )
         imitate: bool = Setting(
             False,

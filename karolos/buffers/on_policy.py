@@ -99,7 +99,7 @@ class OnPolicy(Buffer[Rollout]):
         return {"rows": stored, "count": self._count.copy()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError for the state of a buffer of another shape."""
+        """Load a state. Raises UsageError if it belongs to a buffer of another shape."""
         stored, count = state["rows"], np.asarray(state["count"])
         fits = all(
             np.asarray(stored[name]).shape[1:] == array.shape[1:] and len(stored[name]) <= len(array)

@@ -121,7 +121,7 @@ class Priority(Replay):
         }
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError for the state of a buffer of another shape."""
+        """Load a state. Raises UsageError if it belongs to a buffer of another shape."""
         super().load_state(state)
         self._tree = SumTree(len(self.storage.table))
         self._tree[self.storage.used()] = np.asarray(state["odds"], np.float64)

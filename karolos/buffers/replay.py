@@ -160,7 +160,7 @@ class Replay(Buffer):
         return {"storage": storage, "generator": generator_state(self._generator), "batches": batches}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError for the state of a buffer of another shape."""
+        """Load a state. Raises UsageError if it belongs to a buffer of another shape."""
         self.storage.load_state(state["storage"])
         share = state["storage"]["share"]
         self._share = None if share is None else float(share)

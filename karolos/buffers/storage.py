@@ -218,7 +218,7 @@ class Storage:
         return {"table": self.table[used], "written": self.written.copy(), "running": self.running.copy()}
 
     def load_state(self, state: State) -> None:
-        """Raises UsageError for the state of a buffer of another shape."""
+        """Load a state. Raises UsageError if it belongs to a buffer of another shape."""
         written, table = np.asarray(state["written"]), np.asarray(state["table"])
         fits = written.ndim == 1 and len(written) >= self.environments and table.shape[1:] == self.table.shape[1:]
         if not fits or table.shape[0] != np.minimum(written, self.ring_size).sum():

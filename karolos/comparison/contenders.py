@@ -115,7 +115,7 @@ def repeated(label: str, runs: Sequence[RunSummary]) -> list[str]:
     others = [run.run for run in runs if run.source not in sources]
     more = len(runs) - len(others) - len(chosen)
     rule = "of each seed the newest finished run is used, or the newest if none is finished"
-    edited = "a plugin or module of theirs was another one, see `karolos diff`"
+    edited = "they used other code of a plugin or module, see `karolos diff`"
     found = [f"{label}: {more} of {len(runs)} runs repeat a seed; {rule}"] if more else []
     return found + ([f"{label}: left out, because {edited}: {', '.join(others)}"] if others else [])
 

@@ -56,7 +56,7 @@ def build_environment(recipe: Recipe) -> Environment:
 
 
 def engine_of(environment: Part) -> PhysicsEngine | None:
-    """The physics engine of a robot with a task; None of another environment."""
+    """The physics engine of a robot with a task; None for another environment."""
     settings = environment.settings
     return ENGINES[settings.engine] if isinstance(settings, RobotTask.Settings) else None
 

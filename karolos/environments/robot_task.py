@@ -101,7 +101,7 @@ class RobotTask(Environment):
         offered = {field.name: field for field in task.critic_only.fields}
         if unknown := sorted(set(settings.critic_observes) - set(offered)):
             raise UsageError(
-                f"the task has nothing for critics alone that is called {', '.join(unknown)}",
+                f"the task has no field {', '.join(unknown)} that only critics observe",
                 setting="environment.critic_observes",
                 hint=f"it has {', '.join(offered) or 'nothing'}",
             )
@@ -157,7 +157,7 @@ class RobotTask(Environment):
         names = [measure.name for measure in measures]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             what = f"the measures {', '.join(twice)} are declared twice"
-            raise PluginError(what, where=type(task).__name__, hint="name those of the task otherwise")
+            raise PluginError(what, where=type(task).__name__, hint="give those of the task other names")
         return tuple(measures)
 
     def randomize(self, distributions: Mapping[str, Distribution]) -> None:

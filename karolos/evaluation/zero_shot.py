@@ -49,7 +49,7 @@ class ZeroShotTest:
             return None
         test = from_json(cls, read_object(path) or {})
         if test is None:
-            raise RunError("test.json is missing a valid test", where=str(path), hint="remove the folder")
+            raise RunError("test.json has no valid test", where=str(path), hint="remove the folder")
         return test
 
     def write(self, folder: Path) -> None:

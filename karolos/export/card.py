@@ -37,7 +37,7 @@ def write_card(folder: RunFolder, checkpoint: str, out: Path) -> Path:
             lines = [
                 f"Success at the last step {result.success_end:.3f} (95 %: {low:.3f} to {high:.3f}), {lines[0].lower()}"
             ]
-        chosen = "(held out)" if final else "in the last test, by which `best` is chosen"
+        chosen = "(held out)" if final else "in the last test; such tests select `best`"
         lines[0] += f", in {result.episodes} episodes {chosen}."
     kind = {"type": "reinforcement-learning", "name": "reinforcement-learning"}
     dataset = {"name": environment, "type": environment.replace(" ", "-")}

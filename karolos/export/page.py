@@ -78,7 +78,7 @@ normalises its inputs itself.
 |---|---|---|---|---|---|
 {observation}
 
-`desired_goal` (n, {goals}): what shall be reached, in the world's frame.
+`desired_goal` (n, {goals}): the goal, in the world's frame.
 
 | columns | name | unit | least | largest |
 |---|---|---|---|---|

@@ -98,7 +98,7 @@ class VectorGoalEnv(Goals, VectorEnv[Observation, NDArray[Any], NDArray[Any]]):
             else seed
         )
         if which.shape != (self.num_envs,) or which.dtype != np.bool_ or not which.any():
-            raise ValueError(f"reset_mask is an array of {self.num_envs} bool that marks an environment or more")
+            raise ValueError(f"reset_mask must be an array of {self.num_envs} bool with at least one True")
         if len(seeds) != self.num_envs:
             raise ValueError(f"there are {len(seeds)} seeds for {self.num_envs} environments")
         if self._over is None and not which.all():

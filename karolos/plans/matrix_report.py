@@ -60,7 +60,7 @@ METRICS = {
         "diagonal on its own variant",
     ),
     "retention": TransferMetric(
-        "Retention", "zero-shot success by the success of the same policies on their own variant"
+        "Retention", "zero-shot success, divided by the success of the same policies on their own variant"
     ),
     "fine_tuned": TransferMetric(
         "Success after fine-tuning", "the last policy of fine-tuning on the target, in its final test"
@@ -78,16 +78,16 @@ METRICS = {
     ),
     "time_ratio": TransferMetric(
         "Time to threshold",
-        "steps of fine-tuning to the threshold by those from scratch: Kaplan-Meier medians over the seeds, runs that "
-        "never got there censored at their end; \N{INFINITY}: the median of fine-tuning is not known, 0: that from "
-        "scratch is not; the steps of the source are not counted",
+        "median steps of fine-tuning to the threshold, divided by those from scratch (Kaplan-Meier over seeds: a run "
+        "that never reaches it is censored at its end); \N{INFINITY}: fine-tuning has no median, 0: training from "
+        "scratch has none; the steps of the source are not counted",
         neutral=1.0,
         larger_is_better=False,
     ),
     "forward_transfer": TransferMetric(
         "Forward transfer",
-        "(AUC - AUC of scratch) / (1 - AUC of scratch), mean success over the steps of fine-tuning that both were "
-        "tested in (Wolczyk et al. 2021, Continual World)",
+        "(AUC - AUC of scratch) / (1 - AUC of scratch); AUC is the mean success between the first and the last step at "
+        "which both were tested (Wolczyk et al. 2021, Continual World)",
         neutral=0.0,
     ),
 }
@@ -365,7 +365,7 @@ def _learning(
 
 
 def matrix_table(report: TransferReport, name: str) -> Table:
-    """One metric: a row per source, a column per target; of many targets a row each."""
+    """One metric: a row per source, a column per target; for many targets a row per target."""
     rows = [(source, *map(tables.estimate, found)) for source, found in report.matrix(name)]
     columns = ["from", *(f"to {label}" for label in report.labels)]
     if len(report.labels) > MANY:

@@ -36,7 +36,7 @@ from .matrix_report import targets_table
 
 CAUSES = {
     "overloaded": "a force or a torque beyond the limits of a protective stop or of the task",
-    "touched": "a link that is no pad touches an object, the floor or another link",
+    "touched": "a link other than a pad touches an object, the floor or another link",
     "joint limit": "a joint is at an end of its range",
     "dropped": "an object was between the pads, and is not any more",
     "unreachable": "actions do not move the tool any more",
@@ -233,7 +233,7 @@ def file_overrides(
 
 
 def kept_scores(runs: Path) -> list[dict[str, Any]]:
-    """Tests of policies on other robots that run folders hold, and `runs`/shipped of policies that ship.
+    """Tests of policies on other robots, from run folders and, for shipped policies, from `runs`/shipped.
 
     Each is a row of JSON values: policy, robot, gripper, then as `Evaluation.changed_row`.
     """
@@ -250,7 +250,7 @@ def kept_scores(runs: Path) -> list[dict[str, Any]]:
 
 
 def kept_table(rows: Sequence[dict[str, Any]]) -> Table:
-    """What `kept_scores` found, a row for each test."""
+    """The results of `kept_scores`, a row for each test."""
     columns: Columns[dict[str, Any]] = {
         "robot": lambda one: one["robot"],
         "gripper": lambda one: "own" if one["gripper"] == "null" else one["gripper"],
@@ -286,7 +286,7 @@ def arms_table(scores: Sequence[tuple[str, Sequence[PolicyScore]]]) -> Table:
 def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Sequence[PolicyScore]) -> None:
     """Write the page of a robot's scores. Names of tasks link to films in the same folder. Raises MachineError."""
     done = [one for one in scores if one.success is not None]
-    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks surely above 90 %, nothing trained"
+    good = f"{sum((one.low or 0) > 0.9 for one in done)} of {len(done)} tasks: interval above 90 %, no training"
     table, notes = scores_table(scores), [f"{cause}: {what}" for cause, what in CAUSES.items()]
     notes.append("in brackets the 95 % Wilson interval; a failure counts under the first cause that applies")
     sections = [
@@ -294,7 +294,7 @@ def write_score_page(path: Path, robot: str, assumed: Sequence[str], scores: Seq
         Section(
             "Policies that never saw this robot", table=table, links=[one.film or "" for one in scores], notes=notes
         ),
-        *([Section("What is assumed of the file", notes=assumed)] if assumed else []),
+        *([Section("Assumptions about the file", notes=assumed)] if assumed else []),
     ]
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)

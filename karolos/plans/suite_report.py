@@ -169,7 +169,7 @@ def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[R
     found = {record.summary.experiment for record in records}
     found = found & {experiment} or found
     if len(found) != 1:
-        return f"{folder} has {len(found) or 'no'} experiments of this name, so nothing stands beside it"
+        return f"{folder} has {len(found) or 'no'} experiments of this name, so it is not compared"
     runs = {run.summary.run: run for run in _tested(records) if run.summary.experiment in found}
     chosen = one_per_seed([run.summary for run in runs.values()])
     others = tuple(runs[chosen[seed].run] for seed in sorted(chosen))
@@ -177,7 +177,7 @@ def _beside(folder: Path, name: str, experiment: str, own: Contender) -> tuple[R
     try:  # a shorter run is compared with the others at the same steps
         others = tuple(run if run.tests[-1].steps <= 1.1 * steps else run.at(steps) for run in others)
     except UsageError:
-        return f"{folder} has no test near the last one of a run that ended sooner, so nothing stands beside it"
+        return f"{folder} has no test near the last one of a run that ended sooner, so it is not compared"
     return others or f"{folder} has no test of this name"
 
 

@@ -30,7 +30,7 @@ def card(about: Mapping[str, Any]) -> str:
         f"| episodes | {done['kept']} of {done['played']} that were played |",
         f"| failed and left out | {done['failed_and_left_out']} |",
         f"| diverged and left out | {done['diverged_and_left_out']} |",
-        f"| success of what was played | {done['successes'] / done['played']:.3f} (95 %: {low:.3f} to {high:.3f}) |",
+        f"| success when played | {done['successes'] / done['played']:.3f} (95 %: {low:.3f} to {high:.3f}) |",
         f"| steps per second | {about['rate']:g} |",
         f"| noise on actions | {about['noise']:g}, random {about['random']:g} |",
         f"| seed | {about['seed']} |",

@@ -252,7 +252,7 @@ def read_lerobot(path: Path) -> Dataset:
     except (KeyError, TypeError, ValueError):
         refuse(files[0], "an episode has no length")
     if lengths and (min(lengths) < 1 or sum(lengths) > MOST_FRAMES):
-        refuse(files[0], f"episodes of {min(lengths)} to {max(lengths)} steps cannot be", "it is damaged")
+        refuse(files[0], f"episodes of {min(lengths)} to {max(lengths)} steps are impossible", "it is damaged")
     cache: dict[Path, Any] = {}
 
     def read(place: int) -> Columns:
@@ -323,5 +323,5 @@ def _episode(table: Any, file: Path, row: Mapping[str, Any], known: Mapping[str,
     if "frame_index" in found and not np.array_equal(found["frame_index"][:, 0], count):
         refuse(file, f"episode {episode}, column 'frame_index' does not count from 0 to {length - 1}")
     if "timestamp" in found and not np.allclose(found["timestamp"][:, 0], count / rate, rtol=0, atol=0.5 / rate):
-        refuse(file, f"episode {episode}, column 'timestamp' does not tell {rate:g} frames a second")
+        refuse(file, f"episode {episode}, column 'timestamp' does not fit {rate:g} frames a second")
     return found

@@ -98,7 +98,7 @@ def read_recordings(
         refuse(path, "holds no episode")
     if facts.signature.goal_rule is not None and not successes:
         what = f"none of {len(episodes)} episodes ends with success by the task's rule"
-        refuse(path, what, "check units, frames and goals of what demonstrations.columns names")
+        refuse(path, what, "check units, frames and goals in demonstrations.columns")
     return Read(tuple(episodes), successes)
 
 
@@ -130,7 +130,7 @@ class _Mapping:
         try:
             there = facts_of(about)
         except (KeyError, TypeError, ValueError) as error:
-            refuse(path, f"what it says of itself is damaged: {type(error).__name__}: {error}")
+            refuse(path, f"its description is damaged: {type(error).__name__}: {error}")
         if differences := self.facts.differences(there):
             refuse(path, "it was recorded in another environment: " + "; ".join(differences))
 
@@ -213,7 +213,7 @@ class _Mapping:
             values = self.part(name, layout, found, episode)
             if values is None:
                 hint = f"name it: demonstrations.columns.{name}: COLUMN; there are {_list(found)}"
-                refuse(path, f"{episode} has no {name} that is known to be the environment's", hint)
+                refuse(path, f"{episode} has no {name} that is known to match the environment", hint)
             return values
 
         observation = needed("observation", signature.observation)

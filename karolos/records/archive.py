@@ -237,7 +237,7 @@ def _unpack(source: Path, place: Path, most_bytes: int) -> list[str]:
         raise _refused(source, "there are data after its last member", _AGAIN)
     if found != listed:
         names = sorted(name for name in {*found, *listed} if found.get(name) != listed.get(name))
-        raise _refused(source, f"{names[0]!r} is not what {SUMS} says", _AGAIN)
+        raise _refused(source, f"{names[0]!r} is not as {SUMS} says", _AGAIN)
     if not found:
         raise _refused(source, "it contains no run", "`karolos runs export` makes archives")
     return list(dict.fromkeys(name.partition("/")[0] for name in found))

@@ -19,7 +19,7 @@ def shipped_names() -> tuple[str, ...]:
 
 
 def results_of(folder: RunFolder, runs: Path) -> RunFolder:
-    """Where tests of a run's policies under changed settings are: its folder; of one that ships `runs`/shipped/NAME."""
+    """Folder of the tests under changed settings: the run's folder; for a shipped run `runs`/shipped/NAME."""
     return RunFolder(runs / "shipped" / folder.path.name) if is_shipped(folder) else folder
 
 

@@ -135,7 +135,7 @@ class SweepRecord:
         return next(iter(self.ranked), None)
 
     def reports(self, name: str, seed: int) -> bool:
-        """Whether a run is an unbiased result of the sweep's settings: they were not tuned or chosen on its seed."""
+        """Whether a run is an unbiased result of the sweep's settings: its seed was not used to tune or choose them."""
         if name == best_name(self.name):
             return seed not in {*self.seeds, *(self.final.seeds if self.final else ())}
         return (

@@ -333,7 +333,7 @@ def verdict(comparison: Comparison) -> str:
         "worse": f"Worse than {first}: {{}}.",
         "alike": f"No difference from {first} is shown: {{}}.",
         "few": f"Too few seeds to tell from {first} (5 of each are needed): {{}}.",
-        "unknown": f"Unknown beside {first}, because a return is not finite: {{}}.",
+        "unknown": f"Not comparable with {first}, because a return is not finite: {{}}.",
     }
     said = [sentences[key].format(labels) for key, labels in listed.items()]
     if known:
@@ -441,11 +441,11 @@ def explanations(comparison: Comparison) -> list[str]:
     if comparison.at is not None:
         lines.append(f"the runs are compared as they were at their tests nearest to {comparison.at:,} steps")
     if any(one.best_end or one.best_return for one in scores):
-        lines.append("best: the policy of the best test, in the final test, whose episodes it was not chosen on")
+        lines.append("best: the policy of the best test, in the final test, in held-out episodes")
     if comparison.measures:
         lines.append(
-            "measures: mean over the episodes of that test in which it is defined; the smaller the better, if nothing "
-            "else is said; - if no episode of some run defines it"
+            "measures: mean over the episodes of that test in which the measure is defined; smaller is better, unless "
+            "the heading says otherwise; -: undefined in all episodes of a run"
         )
     lines += interval_notes(found for one in scores for found in (one.any, one.returns))
     if comparison.metric == "return":

@@ -55,13 +55,13 @@ ARM_PARAMETERS: Mapping[str, RandomizedParameter] = {
         "1", 1.0, 0.8, 1.0, "fraction of its speed error that a motor removes in 1/240 s"
     ),
     "observation_noise": RandomizedParameter(
-        "1", 0.0, 0.0, 0.2, "standard deviation of the noise on what is observed of arm and object, in SI units"
+        "1", 0.0, 0.0, 0.2, "standard deviation of the noise on observed values of arm and object, in SI units"
     ),
     "calibration_error": RandomizedParameter(
-        "m", 0.0, 0.0, 0.02, "largest error, along each axis, of where cameras see things; constant in an episode"
+        "m", 0.0, 0.0, 0.02, "largest error of positions from cameras along each axis; constant in an episode"
     ),
-    "latency": RandomizedParameter("s", 0.0, 0.0, 0.1, "age of what is observed"),
-    "jitter": RandomizedParameter("s", 0.0, 0.0, 0.05, "by which that age varies: each time up to so much more"),
+    "latency": RandomizedParameter("s", 0.0, 0.0, 0.1, "age of the observation"),
+    "jitter": RandomizedParameter("s", 0.0, 0.0, 0.05, "largest random increase of that age"),
     "action_delay": RandomizedParameter("control steps", 0.0, 0.0, 2.0, "delay of the actions; rounded"),
 }
 
@@ -72,7 +72,7 @@ WRENCH_NOISE = RandomizedParameter(
 TORQUE_ARM = 0.1
 """Ratio of the noise on the wrench's torque to that on its force, in m."""
 ARM_MEASURES = (
-    Measure("path_length", "m", "smaller", "length of the way of the tool centre point"),
+    Measure("path_length", "m", "smaller", "length of the path of the tool centre point"),
     Measure("peak_force", "N", "smaller", "largest force of a body or another link on a link of the arm or gripper"),
     Measure("peak_wrist_force", "N", "smaller", "largest force of the wrench at the wrist, low-passed"),
     Measure("peak_joint_speed", "1", "smaller", "largest speed of a joint, as a share of its limit"),

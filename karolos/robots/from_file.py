@@ -44,15 +44,17 @@ class FromFile(Arm):
             "installed:PACKAGE/PATH"
         )
         mass: float | None = Setting(
-            None, gt=0, description="of the whole arm, kg: the file's masses are scaled to it; null: as the file says"
+            None, gt=0, description="mass of the arm, kg; the file's masses are scaled to it; null: as the file says"
         )
         repair: bool = Setting(
             False,
             json_schema_extra=LATER,
-            description="repair what arithmetic can, as `karolos robot check --repair` does without xacro",
+            description="repair the file as `karolos robot check --repair` does, except for xacro",
         )
         tool: str | None = Setting(None, description="link of the tool frame, z forwards; null: by usual names")
-        flange: str | None = Setting(None, description="link that carries a gripper, z away from the arm; null: found")
+        flange: str | None = Setting(
+            None, description="link that carries a gripper, z away from the arm; null: searched"
+        )
         flange_yaw: float | None = Setting(
             None, ge=-7, le=7, description="turn of a gripper about the flange's z, rad; null: its fingers close across"
         )

@@ -61,16 +61,16 @@ class ArmSettings(Settings):
         None,
         gt=0,
         description="largest speed of the tool centre point, m/s; null: as the data sheet says (panda 1.7, ur5 1.5); "
-        "without such a value (iiwa) what the joints allow",
+        "without such a value (iiwa) only the joints limit it",
     )
     joint_slots: int | None = Setting(
         None,
         ge=1,
         le=16,
         json_schema_extra=LATER,
-        description="joint control, for one policy of many arms: observations and actions have places for so many "
-        "joints, 0 where the arm has fewer; it is observed how each joint moves the tool, and at home none moves it by "
-        "more than tool_step in a control step; null: the arm's own joints",
+        description="joint control, for one policy of many arms: number of joints in observations and actions, "
+        "with zeros if the arm has fewer. Observations say how each joint moves the tool. At home no joint moves it by "
+        "more than tool_step in a control step. null: the arm's own joints",
     )
     yaw: bool = Setting(False, description="whether a cartesian action also turns the gripper about the vertical")
     yaw_step: float = Setting(0.2, gt=0, le=0.5, description="largest turn of the gripper per control step, rad")
@@ -119,8 +119,8 @@ class ArmSettings(Settings):
     )
     timed_release: bool = Setting(
         False,
-        description="whether the opening command sets the moment in the control step at which the gripper opens: the "
-        "smaller the command, the later; false: at the beginning of the step",
+        description="whether the opening command sets the moment in the control step at which the gripper opens; a "
+        "smaller command opens later; false: it opens at the beginning of the step",
     )
     finger_opening: float = Setting(
         0.0,

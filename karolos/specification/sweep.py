@@ -451,7 +451,7 @@ class Transfer(Settings):
         None, description="the variants whose policies are tested on the others; null: all"
     )
     references: tuple[str, ...] = Setting(
-        (), description="further variants with runs of their own, which say what training there achieves"
+        (), description="further variants that are only trained, to compare training there with transfer"
     )
     modes: tuple[Mode, ...] = Setting(
         ("zero_shot", "fine_tune", "scratch"),
@@ -490,7 +490,7 @@ class Transfer(Settings):
     def _knows_sources(self) -> Any:
         for name in (*(self.sources or ()), *self.references):
             if name not in self.settings:
-                raise ValueError(f"{name} is no variant, which are {', '.join(self.settings)}")
+                raise ValueError(f"{name} is not a variant; variants are {', '.join(self.settings)}")
         if self.sources == ():
             raise ValueError("needs a source, or sources: null for all")
         if self.references and "scratch" not in self.modes:

@@ -129,7 +129,7 @@ def file_of(name: str | Path) -> Path:
 
 
 def install_hint(name: str) -> str | None:
-    """What brings the file of a name installed:PACKAGE/PATH; None for a path."""
+    """A hint how to install the file of a name installed:PACKAGE/PATH; None for a path."""
     return f"pip install {name.removeprefix(INSTALLED).partition('/')[0]}" if name.startswith(INSTALLED) else None
 
 
@@ -154,7 +154,7 @@ def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = T
         try:
             status = os.stat(one)
             if not stat.S_ISREG(status.st_mode):
-                raise OSError("no plain file")
+                raise OSError("not a plain file")
             total += min(status.st_size, LARGE_FILE)
             content, others = _content(str(one), status.st_mtime_ns, status.st_size, status.st_ino)
         except OSError as error:

@@ -57,7 +57,7 @@ class CubeSettings(BaseSettings):
         None, ge=1e3, le=1e8, description="stiffness of the cube's contacts, N/m; null: 4e5 (MuJoCo), or PyBullet's own"
     )
     force_penalty: ForcePenalty | None = Setting(
-        None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
+        None, description="cost of the largest force on a link of arm or gripper; null: none"
     )
 
 

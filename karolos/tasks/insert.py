@@ -109,7 +109,7 @@ class Insert(Task):
         shape: Literal["square", "round", "connector"] = Setting(
             "square",
             description="of peg and hole; square: 20 x 20 mm; round: diameter 16 mm; connector: a plug of 24 x 16 mm "
-            "with a ridge, which fits one way round",
+            "with a ridge, which fits in one orientation only",
         )
         play: float = Setting(0.0005, gt=0, le=0.01, description="width of the hole minus width of the peg, m")
         chamfer: float = Setting(0.001, ge=0, le=0.005, description="height and width of the hole's chamfer, m")
@@ -131,10 +131,10 @@ class Insert(Task):
         )
         force_penalty: ForcePenalty | None = Setting(
             ForcePenalty.model_validate({"limit": 15.0, "weight": 2.0, "most": 5.0}),
-            description="cost of pressing: of the largest force on peg or arm, without the grip; null: none",
+            description="cost of the largest force on peg or arm, without the grip; null: none",
         )
         start_inserted: Probability = start("the peg partly in the hole")
-        start_near: Probability = start("the peg a part of the way from the hole")
+        start_near: Probability = start("the peg between the hole and the usual start")
         max_steps: int = Setting(100, ge=1, le=100_000, description="control steps per episode")
 
     settings: Settings

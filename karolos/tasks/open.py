@@ -95,7 +95,9 @@ class Open(Task):
         friction: Annotated[float, Drawn("1", 0.0, 3.0)] = Setting(
             0.5, ge=0, le=5, description="lateral friction coefficient of drawer or door and handle"
         )
-        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(1.0, gt=0, le=20, description="of the moving part, kg")
+        mass: Annotated[float, Drawn("kg", 0.2, 5.0)] = Setting(
+            1.0, gt=0, le=20, description="mass of the moving part, kg"
+        )
         joint_friction: Annotated[float, Drawn("N", 0.0, 20.0)] = Setting(
             3.0, ge=0, le=50, description="dry friction of the joint, as a force at the handle, N"
         )
@@ -103,7 +105,7 @@ class Open(Task):
             5.0, ge=0, le=200, description="viscous friction of the joint, at the handle, N s/m"
         )
         force_penalty: ForcePenalty | None = Setting(
-            None, description="cost of pressing: of the largest force on a link of arm or gripper; null: none"
+            None, description="cost of the largest force on a link of arm or gripper; null: none"
         )
         start_hooked: Probability = start("the tool behind the bar of the handle")
         start_near: Probability = start("the tool behind the bar of the handle or above it")

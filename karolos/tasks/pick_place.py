@@ -59,8 +59,8 @@ class PickPlace(PointGoalTask, CarryTask):
 
     What is randomised: cube and goal, uniformly in a square of .3 m in the middle of the workspace (`goals: workspace`:
     in all of it); 30 % of the goals lie on the floor, 70 % in the air up to .2 m; the cube is never at the goal at the
-    start. With probability `start_grasped` an episode begins with the cube in the gripper; as a parameter of domain
-    randomization only in training, like half of the episodes in Andrychowicz et al. 2017. The other episodes begin with
+    start. With probability `start_grasped` an episode begins with the cube in the gripper, as do half of the training
+    episodes of Andrychowicz et al. 2017. Specs sample it, so tests never do. The other episodes begin with
     probability `start_near` with the open gripper around the cube or at most 8 cm above it.
 
     Observation: object_position (3, m), object_rotation (6, two columns of its matrix), object_velocity (3, m/s),

@@ -82,7 +82,7 @@ class ReorientSettings(CubeSettings):
         ge=0,
         le=0.1,
         json_schema_extra=LATER,
-        description="least height of goals in the air above the object's on the floor, m",
+        description="lowest goal in the air, as a height above the object on the floor, m",
     )
     topple_cost: float = Setting(
         0.0,
@@ -96,7 +96,7 @@ class ReorientSettings(CubeSettings):
     )
     start_carried: Probability = start("the object in the gripper, somewhere in the air")
     start_grasped: Probability = start("the object in the gripper")
-    start_over: Probability = start("the gripper right over the object, turned to it or not, more or less open")
+    start_over: Probability = start("the gripper directly over the object, at a random angle and opening")
     start_near: Probability = start("the gripper near the object")
     max_steps: int = Setting(70, ge=1, le=100_000, description="control steps per episode")
 

@@ -99,8 +99,8 @@ class Slide(CubeTask):
     Reward: sparse -1, and more while the place of rest is within `reward_share` of the threshold; dense minus its
     distance; see `Rest`.
     What counts as success: the puck lies at rest within `threshold` of the target.
-    Termination: never; the episode is truncated after `max_steps`, with probability `end_out_of_reach` already when the
-    puck has left the workspace; as a parameter of domain randomization only in training.
+    Termination: never; the episode is truncated after `max_steps`, in training with probability `end_out_of_reach`
+    already when the puck has left the workspace.
 
     The furthest slide follows from the speed of the tool and the friction, which is the product of the floor's and the
     puck's.
@@ -112,11 +112,11 @@ class Slide(CubeTask):
             0.015, ge=0.001, le=1, description="lateral friction coefficient of the puck; half of it on the floor"
         )
         reward: Literal["sparse", "dense"] = Setting(
-            "sparse", description="-1 until it slides there, or minus the distance"
+            "sparse", description="-1 until the puck is on its way to the target, or minus the distance"
         )
         threshold: float = Setting(0.05, gt=0, le=0.5, description="distance at which the target is hit, m")
         reward_share: float = Setting(
-            1.0, gt=0, le=1, description="the sparse reward counts within this share of the threshold"
+            1.0, gt=0, le=1, description="share of the threshold within which the sparse reward counts"
         )
         reward_slope: float = Setting(
             0.0,
@@ -126,7 +126,7 @@ class Slide(CubeTask):
             description="the sparse reward is 0 at the target, and minus this at the edge of that share",
         )
         share: float = Setting(0.5, gt=0, le=1, description="share of the possible distances in which targets lie")
-        sector: float = Setting(15.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
+        sector: float = Setting(15.0, gt=0, le=60, description="largest angle of targets to both sides, degrees")
         start_held: Probability = start("the puck between the fingers", json_schema_extra=LATER)
         start_near: Probability = start("the gripper behind the puck")
         end_out_of_reach: Probability = Setting(
@@ -173,8 +173,8 @@ class Slide(CubeTask):
         self.furthest = self.nearest + settings.share * (most - self.nearest)
         if self.furthest <= self.nearest:
             raise UsageError(
-                f"a puck slides to {most:.2f} m from the base at the most, and the arm reaches {self.nearest:.2f} m "
-                "with the threshold",
+                f"a puck slides at most to {most:.2f} m from the base; reach of the arm and threshold are "
+                f"together {self.nearest:.2f} m",
                 setting="task.object_friction",
                 hint="a smaller friction or a larger robot.tool_step lets it slide further",
             )

@@ -1,4 +1,4 @@
-"""Stack: the gripper puts one cube on another and lets go, or two on one."""
+"""Stack: the gripper puts one cube on another, or two on one, and releases them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NEAR_SCALE = 0.02
 
 
 class Stack(CarryTask):
-    """What to do: put the second cube on the first, with `height: 3` the third on the second, and let go.
+    """What to do: put the second cube on the first, with `height: 3` the third on the second, and release it.
 
     What is randomised: the cubes, uniformly in a square of .3 m in the middle of the workspace, their sides at least
     6 cm apart, with `height: 3` 10 cm. Stages that training may sample and tests never do: with `height: 3` and

@@ -77,8 +77,8 @@ class Throw(CubeTask):
     target. Flying over the target or carrying the cube there does not count. Until then the arm touches neither the
     floor nor itself, and its protective stop does not act.
     Termination: when the cube touches the floor, thrown or put down, or the arm does; truncated after `max_steps`.
-    With probability `end_at_release` already when the cube leaves the hand, with the computed landing of a free flight;
-    as a parameter of domain randomization only in training. If the hand touches the cube again, the true landing
+    In training with probability `end_at_release` already when the cube leaves the hand, with the computed landing of a
+    free flight. If the hand touches the cube again, the true landing
     differs by up to a decimetre.
 
     Reach and furthest throw follow from the speed limits of joints and tool, see `ThrowPlanner`. Horizontal distances
@@ -94,10 +94,10 @@ class Throw(CubeTask):
         )
         threshold: float = Setting(0.1, gt=0, le=0.5, description="distance at which the target is hit, m")
         share: float = Setting(0.9, gt=0, le=1, description="share of the possible distances in which targets lie")
-        sector: float = Setting(45.0, gt=0, le=60, description="of targets, to both sides of straight ahead, degrees")
+        sector: float = Setting(45.0, gt=0, le=60, description="largest angle of targets to both sides, degrees")
         max_steps: int = Setting(75, ge=1, le=100_000, description="control steps per episode")
         start_range: Annotated[float, Drawn("m", 0.0, 0.5)] = Setting(
-            0.05, ge=0, le=0.5, description="of the tool from home along each axis, in the workspace, m"
+            0.05, ge=0, le=0.5, description="largest distance of the tool from home at the start, along each axis, m"
         )
         end_at_release: Probability = Setting(
             0.0, description="probability that an episode ends at the release and its landing is computed"

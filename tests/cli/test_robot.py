@@ -62,7 +62,7 @@ def test_a_score_names_success_and_causes_and_writes_a_page(arm, tmp_path):
     assert set(row["causes"]) <= set(robot_score.CAUSES)
     folder = tmp_path / "small-score"
     assert (folder / "ur5_reach.mp4").stat().st_size > 1000
-    assert "assumed of the file" in (folder / "score.html").read_text()
+    assert "Assumptions about the file" in (folder / "score.html").read_text()
     assert json.loads((folder / "score.json").read_text())["policies"] == [row]
     [kept] = rows("robot", "score", "small", "--list")
     assert (kept["policy"], kept["robot"], kept["gripper"]) == ("ur5_reach", "small", "robotiq_2f85")

@@ -155,7 +155,7 @@ def test_a_return_that_is_not_finite_makes_its_experiment_unknown_and_never_the_
     assert "bad: no finite return, so no mean is known: bad-s0" in compared.warnings
     assert verdict(compared) == (
         "Highest mean of return: c, -140.000 ~[-140.000, -140.000]. Better than a: c. "
-        "Unknown beside a, because a return is not finite: bad."
+        "Not comparable with a, because a return is not finite: bad."
     )
 
 

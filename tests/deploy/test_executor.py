@@ -69,8 +69,8 @@ class Camera(socketserver.StreamRequestHandler):
         ("", "late reading: the cameras gave nothing new for .* ms, allowed are 50"),
         ("{}", "not measured: the cameras do not answer"),
         ('{"measured": [1]}', "not measured: the cameras do not answer"),
-        ('{"measured": {"object_position": [1, [2]]}}', "not a number: object_position of the cameras is no list"),
-        ('{"measured": {"object_position": "left"}}', "not a number: object_position of the cameras is no list"),
+        ('{"measured": {"object_position": [1, [2]]}}', "not a number: object_position of the cameras is not a list"),
+        ('{"measured": {"object_position": "left"}}', "not a number: object_position of the cameras is not a list"),
     ],
 )
 def test_cameras_that_say_nothing_new_or_no_numbers_are_a_fault(answer, said):

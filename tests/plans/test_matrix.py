@@ -152,7 +152,7 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
             ["transfer.variants.slow.agent.discount=0.5"],
             ["variants.slow.agent.discount: a variant cannot change agent.discount, only robot, task"],
         ),
-        (["transfer.sources=[fats]"], ["fats is no variant, which are fast, slow"]),
+        (["transfer.sources=[fats]"], ["fats is not a variant; variants are fast, slow"]),
         (["transfer.sources=[]"], ["needs a source"]),
         (["transfer.references=[slow]", "transfer.modes=[zero_shot, fine_tune]"], ["references that no mode uses"]),
         (["transfer.fine_tune.testing.episodes=5"], ["fine_tune cannot change testing.episodes"]),

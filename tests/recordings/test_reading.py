@@ -107,7 +107,7 @@ DAMAGES: dict[str, tuple[Damage, dict[str, str], str]] = {
     "no unit": (lambda _: None, {"tool_position": "arm[0:3]"}, "the unit is missing; the environment uses m"),
     "goals missing": (lambda _: None, {"desired_goal": ""}, "episode 0 has no desired_goal"),
     "no success": (_column("goal", lambda one: one + 1), {}, "none of 3 episodes ends with success"),
-    "too many rows": (_million, {}, "episodes of 1000000000 to 1000000000 steps cannot be"),
+    "too many rows": (_million, {}, "episodes of 1000000000 to 1000000000 steps are impossible"),
     "wrong index": (
         _column("episode_index", lambda one: one * 0),
         {},

@@ -182,7 +182,7 @@ LISTS = ([], [GOOD.replace("run", "state")], [GOOD + GOOD.replace("run", "state"
     [
         *(([(RUN, DESCRIPTION), (name, b"evil")], None, "is not a file of a run") for name in NAMES),
         *(([(member(type=kind, linkname="/etc/passwd"), b"")], None, "is not a plain file") for kind in KINDS),
-        *(([(RUN, DESCRIPTION)], one, "is missing|is not what SHA256SUMS says|after its last member") for one in LISTS),
+        *(([(RUN, DESCRIPTION)], one, "is missing|is not as SHA256SUMS says|after its last member") for one in LISTS),
         ([("a-s0-1/code.diff", bytes(3_000_000))], None, "it unpacks to more than 2,000,000 bytes"),
         ([(member(pax_headers={"comment": "x" * 3_000_000}), b"")], None, "a header is too large"),
         ([("a-s0-1/code.diff", b"")], None, "a-s0-1: this is not a run folder"),

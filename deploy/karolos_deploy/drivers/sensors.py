@@ -31,7 +31,7 @@ def measured_of(answer: Mapping[str, Any]) -> dict[str, Array]:
         try:
             found[name] = np.array(values, float)
         except (TypeError, ValueError):
-            raise Fault("not a number", f"{name} of the cameras is no list of numbers") from None
+            raise Fault("not a number", f"{name} of the cameras is not a list of numbers") from None
     return found
 
 

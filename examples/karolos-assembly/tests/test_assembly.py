@@ -1,4 +1,4 @@
-"""What the example promises: files as the script writes them, a plug that fits one way round, and that arms seat it."""
+"""What the example promises: files as the script writes them, a plug with one orientation, arms that seat it."""
 
 from math import pi
 from pathlib import Path

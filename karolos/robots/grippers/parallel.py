@@ -43,6 +43,6 @@ class ParallelGripper:
     """A gripper; a subclass sets `model`."""
 
     class Settings(core.Settings):
-        """None: the spec of an arm names its gripper."""
+        """No settings: the spec of an arm names its gripper."""
 
     model: ClassVar[GripperModel]

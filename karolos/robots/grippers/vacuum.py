@@ -23,7 +23,7 @@ class VacuumCup:
     """
 
     class Settings(core.Settings):
-        """None: the spec of an arm names its gripper."""
+        """No settings: the spec of an arm names its gripper."""
 
     model: ClassVar[GripperModel] = GripperModel(
         urdf=Path(__file__).parent / "urdf" / "vacuum.urdf",

@@ -2,7 +2,7 @@
 
 Classes, frames, orientations, copies, masses and inertias are therefore those of MuJoCo. Geoms that are only drawn
 (contype and conaffinity 0) do not collide, but have a mass. Materials, cameras, lights, sites, sensors, options and the
-parameters of the solver are left out. What karolos cannot simulate is refused, with its line:
+parameters of the solver are left out. Karolos refuses parts that it cannot simulate, and names their line:
 
 * `<include>`, `<model>`, and geoms other than box, sphere, cylinder, capsule, and mesh with one scale for all axes;
 * in a fixture or object: more than one body in `<worldbody>`, a moving body without exactly one hinge or slide with a
@@ -40,7 +40,7 @@ FIXTURES = "docs/parts.md lists what of MJCF is known; a URDF may say more"
 
 
 def fixture(path: Path, root: Element, lines: dict[Element, int], collision: meshes.Collision | None) -> Mechanism:
-    """A fixture or an object with joints. Raises PluginError with the line of what cannot be simulated.
+    """A fixture or an object with joints. Raises PluginError with the line that cannot be simulated.
 
     Args:
         path: of the file.

@@ -1,6 +1,6 @@
 """Writes parts/plug.stl and parts/plate.stl in millimetres, as a CAD would: python -m karolos_assembly.make_parts
 
-The plug is 24 x 16 x 60 mm. One corner is cut off, so that it fits one way round, and its tip has a chamfer of 1 mm.
+The plug is 24 x 16 x 60 mm. One corner is cut off, so it fits in one orientation only. Its tip has a chamfer of 1 mm.
 """
 
 from __future__ import annotations

@@ -26,7 +26,7 @@ FLOOR, TOP = 0.005, 0.03
 
 
 class SeatPlug(Task):
-    """What to do: seat the plug that the gripper holds in the jig. It fits one way round.
+    """What to do: seat the plug that the gripper holds in the jig. It fits in one orientation only.
 
     What is randomised: the jig, within 5 cm along each axis and turned by up to 30 degrees; the plug's tip, 1 to 3 cm
     above the jig and up to 2 cm beside the hole.

@@ -1,4 +1,4 @@
-"""Bin: the gripper puts a cube into a bin and lets go. There is no scripted expert."""
+"""Bin: the gripper puts a cube into a bin and releases it. There is no scripted expert."""
 
 from __future__ import annotations
 
