@@ -177,6 +177,10 @@ def _scan() -> tuple[tuple[PluginEntry, ...], tuple[str, ...]]:
     return tuple(order), tuple(problems)
 
 
+_in_use: set[PluginEntry] = set()
+"""The plugins that this process has imported."""
+
+
 @cache
 def _load(entry: PluginEntry) -> Any:
     point = importlib.metadata.EntryPoint(entry.name, entry.target, f"karolos.{entry.kind}")
@@ -197,6 +201,7 @@ def _load(entry: PluginEntry) -> Any:
         hint = f"repair {entry.target}, or uninstall {entry.distribution}"
         # `from None`: the command line would print the traceback of a cause, but the place is enough
         raise broken(f"does not import: {_text(error)}", where=place + entry.who, hint=hint) from None
+    _in_use.add(entry)
     return plugin
 
 
@@ -214,7 +219,8 @@ def blaming() -> Iterator[None]:
         theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
         for name, place in _frames(error):
             found = [entry for entry in theirs if entry.package == _package(name)]
-            if found:  # if a package has several, the one with the most similar module and class
+            if found:  # if a package has several, one in use, with the most similar module and class
+                found = [entry for entry in found if entry in _in_use] or found
                 entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
                 where = f"{place}: {entry.who}"
                 raise PluginError(_text(error), where=where, plugin=(entry.kind, entry.name)) from None

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass
+from numbers import Integral
 from typing import Any, Literal
 
 import numpy as np
@@ -185,6 +187,20 @@ class Signature:
     """The values that domain randomization samples at each reset, see `Environment.parameters`."""
     measures: tuple[Measure, ...] = ()
     """The measures of an episode, see `Environment.measures`. Their names differ."""
+
+    def __post_init__(self) -> None:
+        layouts = ("observation", "achieved_goal", "desired_goal", "parameters")
+        for name, kinds in (*((name, Layout) for name in layouts), ("action", Layout | Discrete)):
+            if not isinstance(value := getattr(self, name), kinds):
+                wanted = "Layout" if kinds is Layout else "Layout or Discrete"
+                raise TypeError(f"a signature's {name} must be a {wanted}, not {value!r}")
+        if not isinstance(self.max_steps, Integral) or self.max_steps < 1:
+            raise ValueError(f"a signature's max_steps must be a positive integer, not {self.max_steps!r}")
+        for name in ("reward_range", "extra_reward"):
+            if not (isinstance(span := getattr(self, name), Sequence) and len(span) == 2 and span[0] <= span[1]):
+                raise ValueError(f"a signature's {name} must be (smallest, largest), not {span!r}")
+        if not isinstance(self.goal_rule, GoalRule | None):
+            raise TypeError(f"a signature's goal_rule must be a GoalRule, not {self.goal_rule!r}")
 
     @property
     def observed_goal(self) -> tuple[list[int], list[int]]:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from numbers import Real
 
 import numpy as np
 
 from ..core import Field, Generator, Layout
 from ..core.parameters import Drawn, Probability, RandomizedParameter, drawn_settings
-from ..errors import RunError, UsageError, alternatives
+from ..errors import PluginError, RunError, UsageError, alternatives
 from .distributions import Distribution
 
 __all__ = ["Drawn", "Probability", "Randomization", "RandomizedParameter", "drawn_settings"]
@@ -52,13 +53,19 @@ class Randomization:
         self.draw(np.random.Generator(np.random.PCG64(0)))  # refuses a bad distribution before a run begins
 
     def draw(self, generator: Generator) -> list[float]:
-        """A value for each parameter. Raises RunError when a distribution keeps missing the allowed range."""
+        """A value for each parameter.
+
+        Raises RunError if a distribution keeps missing the allowed range, PluginError if it gives no number.
+        """
         return [self._draw(name, distribution, parameter, generator) for name, distribution, parameter in self._drawn]
 
     @staticmethod
     def _draw(name: str, distribution: Distribution, parameter: RandomizedParameter, generator: Generator) -> float:
         for _ in range(DRAW_ATTEMPTS):
             value = distribution.draw(generator)
+            if not isinstance(value, Real):
+                what, hint = f"its distribution gives {value!r}, which is no float", "let `draw` return a Python float"
+                raise PluginError(what, setting=f"randomization.{name}", hint=hint)
             if parameter.low <= value <= parameter.high:
                 return value
         raise RunError(

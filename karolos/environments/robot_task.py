@@ -268,7 +268,7 @@ class RobotTask(Environment):
 
     def _observation(self) -> FloatArray | None:
         """The robot's part and the task's; None if the physics diverged."""
-        values = self.robot.observe() + self.task.observe()
+        values = [*self.robot.observe(), *self.task.observe()]
         if not isfinite(sum(values)) or self.task.lost():
             return None
         if self._latency or self._jitter:

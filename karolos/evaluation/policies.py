@@ -227,7 +227,7 @@ def load_run(
 
 
 def make(
-    what: str | Path | Spec,
+    what: str | Path | Spec | Mapping[str, Any],
     *,
     randomize: bool = False,
     render_mode: str | None = None,
@@ -239,8 +239,8 @@ def make(
     """The gymnasium environment that a spec describes, with all its settings.
 
     Args:
-        what: a spec file, the name of a shipped spec such as panda_push, a run as in `karolos.load`, or a Spec. A file
-            comes first, then a shipped spec, then a run. `shipped:panda_push` means the shipped run.
+        what: a spec file, the name of a shipped spec such as panda_push, a run as in `karolos.load`, a Spec, or a
+            dictionary. A file comes first, then a shipped spec, then a run. `shipped:panda_push` means the shipped run.
         randomize: whether to sample the spec's `randomization` at each reset, as in training. Tests do not.
         render_mode: None, "rgb_array", or "human": a window, if the engine has one.
         width: of a picture in pixels.
@@ -256,6 +256,8 @@ def make(
     """
     from ..environments.gymnasium.export import SpecEnv  # noqa: PLC0415  (imports gymnasium)
 
+    if isinstance(what, Mapping):
+        what = spec_from_dict(what)
     spec = what if isinstance(what, Spec) else _meant_spec(str(what), runs, database)
     return SpecEnv(spec, randomize=randomize, render_mode=render_mode, width=width, height=height)
 

@@ -48,7 +48,8 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         _check_amounts(spec, agent, buffer)
         if spec.sweep is not None:
             directions(spec.sweep.objectives, signature.measures)
-        agent.check(buffer, demonstrations=spec.demonstrations is not None)
+        with spec.making("agent"):
+            agent.check(buffer, demonstrations=spec.demonstrations is not None)
         if spec.demonstrations is not None:
             buffer.add_demonstrations(())
             check_demonstrations(spec.recipe(randomize=True), spec.demonstrations)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import RunError, StoreError
+from ..errors import RunError, StoreError, UsageError
 from ..experiment.check import check_parts
 from ..experiment.continuing import continue_from, continued_spec
 from ..experiment.events import Listener, RunEnded, RunWarned, print_progress
@@ -84,10 +84,7 @@ class Experiment:
     """
 
     def __init__(self, spec: Spec | str | Path | Mapping[str, Any]) -> None:
-        if isinstance(spec, str | Path):
-            self.spec = load_spec(spec)
-        else:
-            self.spec = spec if isinstance(spec, Spec) else spec_from_dict(dict(spec))
+        self.spec = spec if isinstance(spec, Spec) else load_spec(spec)
 
     def run(
         self,
@@ -124,10 +121,12 @@ class Experiment:
                 `check` is on: a script does not go on with the next experiment.
             RunError: a run failed, and `check` is on. Or another process runs seeds of this experiment, and `existing`
                 is not "ignore".
-            UsageError: the spec's parts do not fit together.
+            UsageError: the spec's parts do not fit together, or an argument has no such value.
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
+        if time_limit is not None and not (isinstance(time_limit, int | float) and time_limit > 0):
+            raise UsageError(f"time_limit is {time_limit!r}, and must be a positive number of seconds")
         is_local = self.spec.launcher is None or self.spec.launcher.name == "local"
         jobs = min(1 if jobs is None else jobs, len(self.spec.seeds)) if is_local else jobs
         home = Home.prepared(self.spec, runs, database, existing)

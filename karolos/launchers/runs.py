@@ -6,12 +6,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from typing_extensions import override
 
 from .. import system
-from ..errors import RunError, StoreError
+from ..errors import RunError, StoreError, UsageError
 from ..experiment.events import (
     RunAdvanced,
     RunBusy,
@@ -57,9 +57,12 @@ class Home:
         """The home of a spec's runs, checked. Files that killed processes left in it are removed.
 
         Raises:
+            UsageError: there is no such `existing`.
             MachineError: the runs folder cannot be written.
             StoreError: the database cannot be used.
         """
+        if existing not in get_args(Existing):
+            raise UsageError(f"there is no existing={existing!r}", hint=f"allowed: {', '.join(get_args(Existing))}")
         home = cls(Path(runs), database or Store.default_url(runs), existing)
         RunFolder.check_writable(home.runs)
         remove_unfinished_imports(home.runs)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ..core import BuildEnvironment, Discrete, Environment, Failure, FloatArray, Signature, Step
 from ..core.environment import close
@@ -112,6 +112,8 @@ class Executor:
         self._build = build
         self._environments: list[Environment] = []
         self._broken: set[int] = set()
+        self._fresh: set[int] = set()
+        """The ids of the environments whose last call was a reset."""
         stack.callback(self._close)
         for _ in range(count):
             self._environments.append(build())
@@ -149,6 +151,7 @@ class Executor:
         environment = self._environments[position]
         step = environment.reset(int(self._arrays.seed[index]))
         _check_reset(environment, step)
+        self._fresh.add(index)
         self._write(environment, index, step)
         if self.signature.parameters.size:
             self._arrays.parameters[index] = environment.parameters()
@@ -159,6 +162,9 @@ class Executor:
         action = int(row[0]) if self._discrete else row.copy()
         environment = self._environments[index - self._first]
         step = environment.step(np.asarray(action))
+        if index in self._fresh:
+            self._fresh.remove(index)
+            _check_shapes(environment, step)
         if not _is_finite(step):  # the episode diverged: it ends with the state before
             before = Step(*(array[index] for array in self._arrays.step))
             step = before._replace(reward=0.0, terminated=False, truncated=True, success=False, diverged=True)
@@ -216,23 +222,30 @@ def _is_finite(step: Step) -> bool:
 
 
 def _check_reset(environment: Environment, step: Step) -> None:
-    """Raise PluginError for numbers that are not finite, or a shape that NumPy would broadcast silently."""
-    signature = environment.signature
-    for name, array, layout in (
-        ("observation", step.observation, signature.observation),
-        ("achieved goal", step.achieved_goal, signature.achieved_goal),
-        ("desired goal", step.desired_goal, signature.desired_goal),
-        ("parameters", environment.parameters(), signature.parameters),
-    ):
-        if np.shape(array) != (layout.size,):
-            raise PluginError(
-                f"{type(environment).__name__} returns {name} of shape {np.shape(array)}, "
-                f"its signature says {(layout.size,)}",
-                hint="make the environment's signature and its steps agree",
-            )
+    """Raise PluginError for a wrong shape, numbers that are not finite, or an episode that is over at once."""
+    name, signature = type(environment).__name__, environment.signature
+    _check_shapes(environment, step)
+    _check_shape(name, "parameters", environment.parameters(), signature.parameters.size)
     if not _is_finite(step):
-        what = f"{type(environment).__name__}.reset returns numbers that are not finite"
-        raise PluginError(what, hint="check how the environment computes them")
+        hint = "check how the environment computes them"
+        raise PluginError(f"{name}.reset returns numbers that are not finite", hint=hint)
+    if step.terminated or step.truncated:
+        hint = "begin an episode in a state from which it goes on"
+        raise PluginError(f"{name}.reset returns a step that ends the episode", hint=hint)
+
+
+def _check_shapes(environment: Environment, step: Step) -> None:
+    """Raise PluginError for a shape that NumPy would broadcast silently."""
+    name, signature = type(environment).__name__, environment.signature
+    _check_shape(name, "observation", step.observation, signature.observation.size)
+    _check_shape(name, "achieved goal", step.achieved_goal, signature.achieved_goal.size)
+    _check_shape(name, "desired goal", step.desired_goal, signature.desired_goal.size)
+
+
+def _check_shape(name: str, part: str, array: ArrayLike, size: int) -> None:
+    if (shape := np.shape(array)) != (size,):
+        what = f"{name} returns {part} of shape {shape}, its signature says {(size,)}"
+        raise PluginError(what, hint="make the environment's signature and its steps agree")
 
 
 def as_karolos_error(error: BaseException, where: str) -> KarolosError:

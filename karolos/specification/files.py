@@ -8,8 +8,9 @@ from __future__ import annotations
 import os
 import re
 import stat
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from itertools import count
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, NoReturn
@@ -36,6 +37,7 @@ _CORE_SCHEMA: tuple[tuple[re.Pattern[str], Callable[[str], Scalar]], ...] = (
     (re.compile(r"[-+]?(\.[0-9]+|[0-9]+(\.[0-9]*)?)([eE][-+]?[0-9]+)?"), float),
     (re.compile(r"[-+]?\.(inf|Inf|INF)|\.(nan|NaN|NAN)"), lambda text: float(text.replace(".", ""))),
 )
+_OVERRIDES = 'write ["training.steps=1000"]'
 _PLAIN, _GIVEN = "plain", "given"
 """Tags of nodes without a tag in the text: plain scalars, and all other nodes."""
 _AT_HINT = "name a run by its whole id or its folder, not by @last; put other text with @ in quotes"
@@ -211,9 +213,16 @@ def _text(path: Path, mark: Mark) -> str:
 
 
 def override_trees(overrides: Iterable[str], rank: int, problems: list[Problem]) -> list[Node]:
-    """Each `path.to.key=value` as a tree to merge into the spec. Appends invalid overrides to `problems`."""
+    """Each `path.to.key=value` as a tree to merge into the spec. Appends invalid overrides to `problems`.
+
+    Raises UsageError if they are not in a list, or not texts.
+    """
+    if isinstance(overrides, str | Mapping):
+        raise UsageError("overrides are a list of texts", hint=_OVERRIDES)
     trees = []
     for place, text in enumerate(overrides):
+        if not isinstance(text, str):
+            raise UsageError(f"an override is a text, not {type(text).__name__}", hint=_OVERRIDES)
         mark = Mark(f"override {shown(text)}", rank=rank + place)
         try:
             trees.append(_override(text, mark))
@@ -364,6 +373,21 @@ class _Loader(yaml.SafeLoader):
 
     def resolve(self, kind: Any, value: Any, implicit: Any) -> str:  # noqa: ARG002 (the overridden signature)
         return _PLAIN if kind is yaml.ScalarNode and implicit[0] else _GIVEN
+
+    def scan_to_next_token(self) -> None:
+        """Also skips tabs where YAML allows them: between tokens, and in lines without any. None may indent."""
+        scanner: Any = super()
+        text: Any = self
+        scanner.scan_to_next_token()
+        while text.peek() == "\t" and (self.flow_level or not self.allow_simple_key or self._only_blanks()):
+            text.forward()
+            scanner.scan_to_next_token()
+
+    def _only_blanks(self) -> bool:
+        """Whether the rest of the line is empty, or a comment."""
+        text: Any = self
+        end = next(place for place in count() if text.peek(place) not in " \t")
+        return text.peek(end) in "\0\r\n#"
 
     def descend_resolver(self, *_: Any) -> None:
         mark = self.peek_event().start_mark  # type: ignore[no-untyped-call]

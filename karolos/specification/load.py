@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import PluginError, Problem
+from ..errors import PluginError, Problem, UsageError
 from .bind import bind, explain, validate
 from .files import SpecFiles, find_spec, override_trees
 from .model import Spec
@@ -18,18 +18,23 @@ from .sweep import application_order, space_problems
 from .tree import DEFAULT, SWEEP, Mark, Node, leaves, merge, refuse, segments, shown
 
 
-def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[Node] = ()) -> Spec:
+def load_spec(path: str | Path | Mapping[str, Any], overrides: Iterable[str] = (), above: Iterable[Node] = ()) -> Spec:
     """The spec in a YAML file, merged with the files that it extends and with `path.to.key=value` overrides.
 
     Args:
-        path: of the file, or the name of a shipped spec (`find_spec`).
+        path: of the file, the name of a shipped spec (`find_spec`), or a dictionary as for `spec_from_dict`.
         overrides: have the highest priority.
         above: settings of a suite; they replace the file's.
 
     Raises:
         SpecError: the file is unreadable or invalid; carries every problem found, at file:line:column.
+        UsageError: `path` is none of these.
         PluginError: a plugin of the spec is broken.
     """
+    if isinstance(path, Mapping):
+        return spec_from_dict(path, overrides)
+    if not isinstance(path, str | Path):
+        raise UsageError(f"a spec is a path, a name or a dictionary, not {type(path).__name__}")
     files = SpecFiles(path)
     tree = files.load()
     if (specs := tree.get("specs")) is not None:
@@ -49,6 +54,8 @@ def load_spec(path: str | Path, overrides: Iterable[str] = (), above: Iterable[N
 
 def spec_from_dict(spec: Mapping[str, Any], overrides: Iterable[str] = ()) -> Spec:
     """The spec in a dictionary. Raises as `load_spec` does, with "dict" as the position."""
+    if not isinstance(spec, Mapping):
+        raise UsageError(f"a spec is a dictionary here, not {type(spec).__name__}", hint="load_spec reads files")
     mark = Mark("dict")
     if "extends" in spec:
         raise mark.refusal("a dictionary has no file to extend from", "load it with load_spec", setting="extends")

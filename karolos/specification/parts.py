@@ -12,7 +12,7 @@ from pydantic_core import CoreSchema, InitErrorDetails, PydanticCustomError, cor
 
 from ..core.settings import without_later
 from ..errors import recorded
-from ..registry import find, load
+from ..registry import blaming, find, load
 from .tree import leaves
 
 _SIZE = PydanticCustomError("integer_size", "should be an integer of at most 64 bits")
@@ -43,7 +43,8 @@ class Part:
         Raises ValidationError if a setting is invalid, an integer too large for numpy, torch and databases, or a
         secret.
         """
-        settings = validate_strictly(load(kind, name).Settings, given)
+        with blaming():
+            settings = validate_strictly(load(kind, name).Settings, given)
         values = list(leaves(settings.model_dump(), lists=True))
         wrong = {path: _SIZE for path, value in values if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63}
         for path, value in (*values, *leaves(given, lists=True)):

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 
-from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, random_actions
+from ..core import Agent, Buffer, Orchestrator, SeedTree, Signature, Step, random_actions
 from ..environments.build import build_environment, is_setting
 from ..errors import KarolosError, PluginError, WorkerError
 from ..orchestrator.local import Local
+from ..registry import blaming
 from ..specification import Spec
 from ..specification.parts import Recipe
 
@@ -64,6 +66,7 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 
 STEPS = 3
 """Steps of the first episode, with random actions."""
+GOALS = ("achieved_goal", "desired_goal")
 EPISODES = 16
 """Number of episodes that begin if randomization samples worlds. With up to eight worlds, nearly all are tried."""
 
@@ -91,18 +94,22 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
     if not any(one.is_foreign or one.name == "gymnasium" for one in parts):
         processes = 0  # our own code does not end its process
     settings = Local.Settings(processes=processes, environments=1, failures=0, time_limit=limit)
+    steps: list[Step] = []
     try:
-        with Local(settings, partial(build_environment, recipe)) as environments:
+        with Local(settings, partial(build_environment, recipe)) as environments, blaming():
             for seed in range(episodes):
                 environments.reset([0], [seed])
                 count = 0 if seed else STEPS
                 for action in (*random_actions(environments.signature, count, generator), None):
                     step = environments.receive().step
+                    if not seed:
+                        steps.append(Step(*map(np.copy, step)))
                     if step.diverged[0]:
                         raise PluginError("the first steps diverge: numbers are not finite, or an object is far away")
                     if action is None or step.terminated[0] or step.truncated[0]:
                         break
                     environments.step([0], action[None])
+            _check_rewards(environments.signature, steps)
             return environments.signature
     except KarolosError as error:
         if error.setting is not None:
@@ -113,3 +120,22 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
         what = ": ".join(filter(None, (place, error.what)))
         kind = PluginError if isinstance(error, WorkerError) else type(error)
         raise kind(what, setting=key, plugin=error.plugin, hint=error.hint) from None
+
+
+def _check_rewards(signature: Signature, steps: Sequence[Step]) -> None:
+    """Raise a PluginError for a reward beyond its range, or a goal rule that does not judge each of several goals.
+
+    The first step is that of the reset.
+    """
+    low, high = signature.reward_range
+    for reward in (float(step.reward[0]) for step in steps[1:]):
+        if not low - 1e-4 <= reward <= high + 1e-4:
+            what = f"the environment gave reward {reward:g}, outside its reward_range [{low:g}, {high:g}]"
+            raise PluginError(what, hint="declare the whole range, because learned values are limited to it")
+    if (rule := signature.goal_rule) is None:
+        return
+    achieved, desired = (np.concatenate([getattr(step, name) for step in steps]) for name in GOALS)
+    for name in ("success", "reward", "terminated"):
+        if (shape := np.shape(getattr(rule, name)(achieved, desired))) != (len(steps),):
+            what = f"the goal rule's {name} has the shape {shape} for {len(steps)} goals, not ({len(steps)},)"
+            raise PluginError(what, hint="compute it for each row, e.g. np.linalg.norm(achieved - desired, axis=-1)")

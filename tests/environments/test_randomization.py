@@ -10,7 +10,7 @@ from karolos.core.parameters import RandomizedParameter
 from karolos.core.seeding import Generator
 from karolos.environments.distributions import Choice, LogUniform, Normal, UniformDistribution
 from karolos.environments.randomization import Randomization
-from karolos.errors import RunError, UsageError
+from karolos.errors import PluginError, RunError, UsageError
 
 DECLARED = {
     "task.gravity": RandomizedParameter("m/s2", -9.81, -20.0, 0.0),
@@ -24,6 +24,13 @@ def generator(seed: int = 0) -> Generator:
 
 def uniform(low: float, high: float) -> UniformDistribution:
     return UniformDistribution(UniformDistribution.Settings(low=low, high=high))
+
+
+@pytest.mark.parametrize("value", [None, "low", np.zeros(1)])
+def test_a_value_that_is_no_number_is_told_at_its_parameter(monkeypatch, value):
+    monkeypatch.setattr(UniformDistribution, "draw", lambda *_: value)
+    with pytest.raises(PluginError, match=r"^randomization\.task\.gravity: .*, which is no float"):
+        Randomization({"task.gravity": uniform(-10, -9)}, DECLARED)
 
 
 @given(st.floats(-5, 5), st.floats(0, 5), st.integers(0, 1000))

@@ -179,6 +179,14 @@ def test_a_task_that_observes_what_is_not_finite_is_told_which(method, name, mon
         made.reset(0)
 
 
+def test_a_task_may_observe_an_array(monkeypatch):
+    made = made_of("push")
+    expected = made.reset(0).observation
+    observe = made.task.observe
+    monkeypatch.setattr(made.task, "observe", lambda: np.array(observe()))
+    np.testing.assert_array_equal(made.reset(0).observation, expected)
+
+
 def test_physics_that_diverges_before_the_first_step_is_no_fault_of_the_task(monkeypatch):
     made = environment()
     monkeypatch.setattr(made.robot, "observe", lambda: [np.nan] * made.robot.observation.size)

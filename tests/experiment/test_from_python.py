@@ -12,6 +12,7 @@ from support.toy_runs import toy
 
 import karolos
 from karolos.errors import SpecError, UsageError
+from karolos.specification import load_spec, spec_from_dict
 
 pytestmark = pytest.mark.xdist_group(__name__)
 
@@ -43,6 +44,36 @@ def test_an_experiment_takes_the_name_or_the_path_of_a_spec(tmp_path):
     assert copied.spec.hash() == shipped.spec.hash()
     with pytest.raises(SpecError, match=r"nothere\.yaml: there is no such file"):
         karolos.Experiment("nothere.yaml")
+
+
+def test_a_dictionary_stands_for_a_spec_everywhere():
+    written = {"environment": {"name": "toy", "dimensions": 2}, "agent": "sac"}
+    spec = load_spec(written, ["training.steps=7"])
+    assert spec.training.steps == 7
+    assert karolos.Experiment(written).spec.hash() == spec_from_dict(written).hash()
+    assert karolos.make(written).observation_space["observation"].shape == (2,)
+
+
+@pytest.mark.parametrize(
+    ("ask", "what"),
+    [
+        (lambda: load_spec(None), "not NoneType"),
+        (lambda: karolos.Experiment(["panda_reach"]), "not list"),
+        (lambda: spec_from_dict("panda_reach"), "not str; load_spec reads files"),
+        (lambda: load_spec("panda_reach", "training.steps=7"), "overrides are a list"),
+        (lambda: load_spec("panda_reach", {"training.steps": 7}), "overrides are a list"),
+        (lambda: load_spec("panda_reach", [("training.steps", 7)]), "an override is a text, not tuple"),
+        (lambda: karolos.Experiment(TOY).run("nowhere", existing="resum"), "'resum'; allowed: ignore, skip, resume"),
+        (lambda: karolos.Experiment(TOY).run("nowhere", time_limit="5s"), "'5s', and must be a positive number"),
+        (lambda: karolos.Experiment(TOY).run("nowhere", time_limit=float("nan")), "nan, and must be"),
+    ],
+)
+def test_wrong_arguments_are_told_in_one_line(tmp_path, monkeypatch, ask, what):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(UsageError, match=what) as error:
+        ask()
+    assert "\n" not in str(error.value)
+    assert not list(tmp_path.iterdir())
 
 
 def test_a_missing_index_is_rebuilt_and_a_missing_folder_refused(folder, tmp_path):

@@ -15,6 +15,7 @@ import pytest
 from support import fake_environments
 from support.fake_environments import (
     COMPLAIN,
+    CUT,
     DIE,
     END,
     EXIT,
@@ -51,6 +52,7 @@ def _refuse(*_: object) -> None:
         (RAISE, WorkerError, r"environment 2: .*fake_environments\.py:\d+: ZeroDivisionError: the inertia is zero$"),
         (COMPLAIN, PluginError, r"^robot\.fake: the gripper has three fingers; give it two$"),
         (EXIT, WorkerError, "SystemExit: enough"),
+        (CUT, PluginError, r"Fake returns observation of shape \(1,\), its signature says \(5,\)"),
         (QUIRKY, KarolosError, "quirky; do not"),  # its class cannot be pickled
     ],
 )
@@ -80,6 +82,7 @@ def test_a_step_that_is_not_finite_ends_the_episode_as_diverged_with_the_state_b
     ("recipe", "told"),
     [
         ("nan", r"Fake\.reset returns numbers"),
+        ("over at once", r"Fake\.reset returns a step that ends the episode"),
         ("short", r"Fake returns observation of shape \(1,\), its signature says \(5,\)"),
     ],
 )

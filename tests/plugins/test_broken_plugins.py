@@ -181,6 +181,14 @@ def test_check_tells_a_task_that_fails_at_its_line_in_the_spec(installed, method
     assert f"/broken_{method}.py:9: task 'broken_{method}' of shaky 1.0: AttributeError: 'Broken' object" in out
 
 
+def test_a_function_that_several_plugins_share_is_blamed_on_the_one_in_use(installed):
+    spec = installed("achieved")
+    module = spec.with_name("broken_achieved.py")
+    module.write_text(module.read_text().replace("self.gaol", "shared(self)") + "def shared(task): return task.gaol\n")
+    out = karolos("check", spec, "orchestrator.processes=0", code=3).out
+    assert out.startswith(f"{spec}:2:7: task.name: {module}:10: task 'broken_achieved' of shaky 1.0: AttributeError")
+
+
 def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed):
     installed("fit")
     with pytest.raises(ZeroDivisionError), blaming():

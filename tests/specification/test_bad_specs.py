@@ -1,9 +1,10 @@
 """Bad specs: one clear line for each mistake, at its place."""
 
 import os
+from typing import Any
 
 import pytest
-from pydantic import JsonValue, SecretStr
+from pydantic import JsonValue, SecretStr, model_validator
 from support.fake_plugins import Point
 from support.spec_files import GOOD, REFUSED, problems_of, write
 
@@ -143,3 +144,16 @@ def test_endless_dictionary_is_refused():
     loop["task"] = loop
     with pytest.raises(SpecError, match="nested deeper"):
         spec_from_dict(loop)
+
+
+class Failing(Point):
+    class Settings(Point.Settings):
+        @model_validator(mode="after")
+        def _fails(self) -> Any:
+            raise ZeroDivisionError("of the plugin")
+
+
+def test_settings_that_fail_themselves_are_told_at_the_plugins_line(fake_plugins):
+    fake_plugins("environments", "failing", f"{__name__}:Failing", "shaky")
+    with pytest.raises(PluginError, match=r"test_bad_specs\.py:\d+: environment 'failing' of shaky 1\.0: ZeroDivision"):
+        spec_from_dict({"environment": "failing", "agent": "learner"})

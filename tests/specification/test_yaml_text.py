@@ -48,6 +48,21 @@ def test_quoted_scalars_are_strings():
     assert node.plain() == {"a": "5", "b": "true", "c": "7\n"}
 
 
+@pytest.mark.parametrize(
+    "text", ["a:\t1", "a\t: 1", "\t\na: 1\t\n \t# x\n\t", "a:\n  1\n\t# x", "{a:\t1\n\t}", "{\n\ta: 1}"]
+)
+def test_tabs_may_separate(text):
+    node, problems = read(text, "x")
+    assert not problems
+    assert node.plain() == {"a": 1}
+
+
+@pytest.mark.parametrize("text", ["a:\n\tb: 1", "a:\n \tb: 1", "\ta: 1", "- \ta: 1", "a: |\n  b\n\tc"])
+def test_tabs_may_not_indent(text):
+    with pytest.raises(SpecError, match="indent with spaces"):
+        read(text, "x")
+
+
 def test_every_key_and_value_knows_its_place():
     node, _ = read("a: 1\nb:\n  c: {d: 2}\n  e:\n  - 3\n", "f.yaml")
     assert str(node.get("a").at) == "f.yaml:1:4"

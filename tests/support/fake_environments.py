@@ -11,9 +11,8 @@ from karolos.core import Discrete, Environment, Field, Layout, Measure, Signatur
 from karolos.errors import KarolosError, PluginError
 
 OBSERVATION = Layout(tuple(Field(name, 1) for name in ("pid", "steps", "torch", "blas_threads", "main_imported")))
-FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT, QUIRKY, SLOW, INTERRUPT, END, NAN, HUGE, WORTHLESS = np.arange(
-    15, dtype=np.float32
-)
+FINE, RAISE, COMPLAIN, EXIT, DIE, HANG, PRINT, SEGFAULT = np.arange(8, dtype=np.float32)
+QUIRKY, SLOW, INTERRUPT, END, NAN, HUGE, WORTHLESS, CUT = np.arange(8, 16, dtype=np.float32)
 
 
 class QuirkyError(KarolosError):
@@ -59,7 +58,9 @@ class Fake(Environment):
         self._kept = []
         step = self._step()
         wrong = {"short": step.observation[:1], "nan": step.observation * np.nan}
-        return step._replace(observation=wrong.get(self._recipe, step.observation))
+        return step._replace(
+            observation=wrong.get(self._recipe, step.observation), truncated=self._recipe == "over at once"
+        )
 
     def step(self, action: np.ndarray) -> Step:
         if self._recipe == "discrete" and np.asarray(action).dtype.kind != "i":
@@ -89,6 +90,7 @@ class Fake(Environment):
             print("noise from an environment", flush=True)
         found = self._step()
         wrong = {NAN: {"observation": found.observation * np.nan}, WORTHLESS: {"reward": -np.inf}}
+        wrong[CUT] = {"observation": found.observation[:1]}
         wrong[HUGE] = {"observation": found.observation.astype(float) + 1e300}  # which float32 cannot hold
         return found._replace(truncated=trouble == END, **wrong.get(trouble, {}))
 

@@ -3,10 +3,13 @@
 import re
 from typing import Any
 
+import numpy as np
 import pytest
 from support.faulty_environments import FAULTS
 from support.spec_files import REFUSED, problems_of, write
 
+from karolos.agents.sac import SAC
+from karolos.environments.toy import NearPoint
 from karolos.errors import KarolosError, PluginError, UsageError
 from karolos.experiment.check import check_parts
 from karolos.specification import load_spec, spec_from_dict
@@ -161,3 +164,35 @@ def test_a_sweep_for_success_where_none_is_defined_is_noted():
     assert note == "the environment defines no success, so success_end may stay 0: set sweep.objective=return"
     assert check_parts(spec_from_dict(spec | {"sweep": sweep | {"objective": "return"}})) is None
     assert check_parts(spec_from_dict(spec)) is None
+
+
+def _nearest(rule: NearPoint, achieved: Any, desired: Any) -> bool:
+    return float(np.linalg.norm(np.subtract(achieved, desired))) < rule.threshold
+
+
+@pytest.mark.parametrize(
+    ("changed", "told"),
+    [
+        ({"success": _nearest}, r"the goal rule's success has the shape \(\) for 4 goals, not \(4,\); compute it"),
+        ({"reward": lambda *_: np.float32(-1)}, r"the goal rule's reward has the shape \(\) for 4 goals"),
+    ],
+)
+def test_a_goal_rule_that_does_not_judge_each_goal_is_refused(monkeypatch, changed, told):
+    for name, method in changed.items():
+        monkeypatch.setattr(NearPoint, name, method)
+    with pytest.raises(PluginError, match=told):
+        check_parts(spec_from_dict({"environment": "toy", "agent": "sac"}))
+
+
+def test_a_reward_outside_the_range_of_the_signature_is_refused():
+    environment = {"name": "gymnasium", "id": "Pendulum-v1", "reward_range": [-0.001, 0]}
+    spec = {"environment": environment, "agent": "sac", "orchestrator": {"processes": 0}}
+    told = r"the environment gave reward -\d\S*, outside its reward_range \[-0\.001, 0\]"
+    with pytest.raises(PluginError, match=told):
+        check_parts(spec_from_dict(spec))
+
+
+def test_an_agent_whose_check_fails_is_told_by_name(monkeypatch):
+    monkeypatch.setattr(SAC, "check", lambda *_: None)
+    with pytest.raises(UsageError, match=r"agent 'sac' cannot be made: TypeError: .* argument 'demonstrations'"):
+        check_parts(spec_from_dict({"environment": "toy", "agent": "sac"}))
