@@ -302,9 +302,9 @@ def load(
     """The simulated part of a URDF. The result is shared until the file changes, and must not be changed.
 
     Fixed joints and locked joints are merged, with the links that they move, into their parents. Elements for other
-    programs (transmissions, ros2_control, gazebo, safety controllers) are left out, and mimic except for slides. A continuous joint becomes a
+    programs (transmissions, ros2_control, gazebo, safety controllers) are left out. A continuous joint becomes a
     revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and their links weigh at
-    least `FINGER_MASS`; one that mimics another has its limits where it lacks its own.
+    least `FINGER_MASS`; one that mimics another has its limits where it lacks its own. Other mimics are left out.
 
     Args:
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.

@@ -178,6 +178,10 @@ def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_st
     mesh.touch()
     for name in ("../meshes/arm.stl", "meshes/arm.stl", "package://my_robot/meshes/arm.stl", f"file://{mesh}"):
         assert find_named(name, urdfs) == mesh, name
+    other = mesh.rename(meshes / "my arm.stl")
+    for name in (r"..\meshes\my arm.stl", "package://my_robot/meshes/my%20arm.stl", other.as_uri()):
+        assert find_named(name, urdfs) == other, name
+    other.rename(mesh)
     renamed = (tmp_path / "my_robot").rename(tmp_path / "robot-main")
     assert find_named("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
 
