@@ -38,7 +38,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--onnx", action="store_true", help="let onnxruntime run the policy instead of numpy")
     parser.add_argument("--json", action="store_true", help="print one JSON object instead of lines")
     given = parser.parse_args(arguments)
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C: the robot is stopped
+    names = (getattr(signal, name, None) for name in ("SIGTERM", "SIGHUP"))  # also if the terminal is closed
+    asked = {one: signal.getsignal(one) for one in names if one is not None}
+    for one, before in asked.items():
+        if before is not signal.SIG_IGN:  # as nohup says
+            signal.signal(one, signal.default_int_handler)  # as Ctrl-C: the robot is stopped
     try:
         return _run(given)
     except BundleError as error:
@@ -51,7 +55,8 @@ def main(arguments: list[str] | None = None) -> int:
         print("stopped: you asked for it", file=sys.stderr)
         return STOPPED
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for one, before in asked.items():
+            signal.signal(one, before)
 
 
 def _run(given: argparse.Namespace) -> int:

@@ -90,18 +90,20 @@ class Executor:
             self.driver.stop()
             if collecting:
                 gc.enable()
-            if self._log is not None:
-                self._log.flush()
         return outcome
 
     def _goal(self, given: list[float] | None) -> Array:
         size = sum(one["size"] for one in self.bundle.contract["desired_goal"])
         if given is None:
             return np.asarray(self.bundle.episode()["desired_goal"][0])
-        if len(given) != size or not np.isfinite(given).all():
-            numbers = " ".join(f"{one:g}" for one in given)
+        try:  # it may come from cameras
+            goal = np.array(given, float)
+        except (TypeError, ValueError, OverflowError):
+            goal = np.zeros(0)
+        if goal.shape != (size,) or not np.isfinite(goal).all():
+            numbers = " ".join(f"{one:g}" for one in goal) if goal.ndim == 1 and goal.size else repr(given)
             raise BundleError(f"the goal is {numbers}; it needs {size} finite numbers, see the page of the bundle")
-        return np.array(given, np.float32)
+        return goal.astype(np.float32)
 
     def _first(self, watch: Watch) -> Reading:
         """The first reading."""
@@ -164,23 +166,23 @@ class Log:
         sizes = {"now": 1, "time": 1, "step": 1, "goal": goal, "positions": joints, "velocities": joints, "wrench": 6}
         sizes |= {"opening": 1, **{f"measured_{name}": size for name, size in self._measured.items()}}
         sizes |= {"set_point": self._size}
+        self._path = path
+        head = {"format": 1, "run": contract["run"]["id"], "rate": rate, "columns": sizes}
         try:
-            self._file: IO[bytes] = path.open("wb")
+            self._file: IO[bytes] = path.open("wb", buffering=0)
+            self._file.write(json.dumps(head).encode() + b"\n")
         except OSError as error:
             raise BundleError(f"the log {path} cannot be written: {error.strerror}") from None
-        head = {"format": 1, "run": contract["run"]["id"], "rate": rate, "columns": sizes}
-        self._file.write(json.dumps(head).encode() + b"\n")
 
     def add(self, now: float, reading: Reading, goal: Array, step: int, point: SetPoint | None) -> None:
         """Write one cycle; `step` counts the actions so far."""
         seen = [value for name in self._measured for value in np.ravel(reading.measured[name])]
         sent = [np.nan] * self._size if point is None else point.row()
         row = [now, reading.time, step, *goal, *reading.positions, *reading.velocities, *reading.wrench]
-        self._file.write(np.array([*row, reading.opening, *seen, *sent]).tobytes())
-
-    def flush(self) -> None:
-        """Flush the written rows to the system."""
-        self._file.flush()
+        try:
+            self._file.write(np.array([*row, reading.opening, *seen, *sent]).tobytes())
+        except OSError as error:
+            raise Fault("no log", f"{self._path} cannot be written: {error.strerror}") from None
 
 
 def read_log(path: Path) -> tuple[dict[str, Any], dict[str, Array]]:
@@ -206,6 +208,8 @@ class Replay(Driver):
         self.head, self.columns = read_log(path)
         if self.head["run"] != bundle.contract["run"]["id"]:
             raise BundleError(f"{path} is of {self.head['run']}, the bundle of {bundle.contract['run']['id']}")
+        if not len(self.columns["step"]):
+            raise BundleError(f"{path} has no cycle: the robot was stopped before the first one")
         starts = np.flatnonzero(np.diff(self.columns["step"][:, 0], prepend=np.inf) < 0)
         self.episodes = list(zip(starts.tolist(), [*starts[1:].tolist(), len(self.columns["step"])], strict=True))
         self.error = 0.0

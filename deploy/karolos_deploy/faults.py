@@ -123,12 +123,13 @@ class Watch:
         numbers = {"positions": reading.positions, "velocities": reading.velocities, "wrench": reading.wrench}
         numbers |= {"opening": np.array([reading.opening]), "time": np.array([reading.time])}
         numbers |= {name: reading.measured[name] for name in self._measured}
+        sizes = {"positions": len(self._names), "velocities": len(self._names), "wrench": 6}
         for name, values in numbers.items():
-            size = self._columns.get(name, (np.size(values), ""))[0]
-            if name in ("positions", "velocities"):
-                size = len(self._names)
+            size = sizes.get(name) or self._columns.get(name, (np.size(values), ""))[0]
             if np.size(values) != size:
                 raise Fault("wrong size", f"{name} has {np.size(values)} numbers, {size} are needed")
+            if np.ndim(values) != 1:
+                raise Fault("wrong size", f"{name} is no plain list of numbers")
             if not np.isfinite(values).all():
                 raise Fault("not a number", f"{name} of the reading is not finite")
 

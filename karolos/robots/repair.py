@@ -132,8 +132,10 @@ class Repair:
         loose = urdf.load(self.path, strict=False, text=self._text())
         self._weigh(robot, loose, mass)
         elements = {one.get("name"): one for one in robot.findall("joint")}
+        slides = {joint.name for joint in loose.joints if not joint.revolute}
         for joint in loose.joints if limits else ():
-            self._limit(elements[joint.name], joint, loose)
+            if joint.name not in slides or joint.mimic not in slides:  # otherwise it has the limits of the other finger
+                self._limit(elements[joint.name], joint, loose)
 
     def _find_meshes(self, link: Element) -> None:
         """Give the meshes of a link absolute names, and leave out those that are missing or cannot be read."""
@@ -175,7 +177,7 @@ class Repair:
     def _weigh(self, robot: Element, loose: urdf.Description, mass: float | None) -> None:
         """Give moving links their missing masses and inertias, and the arm its whole mass."""
         links = {one.get("name", ""): one for one in robot.findall("link")}
-        carried = {joint.child for joint in loose.joints}
+        carried = [joint.child for joint in loose.joints]
         known = {one.get("name", ""): urdf.inertia_of(one) for one in loose.robot.findall("link")}
         solids = {name: hull(points_of(loose.robot, name)) for name in known}
         without = [name for name in carried if known[name][0] < urdf.LEAST_SIZE]
@@ -190,7 +192,7 @@ class Repair:
             change = f"{weight:.3g} kg: its convex hull of {density:.0f} kg/m3"
             self._found(links[name], "it moves and has no mass", change)
             _set_inertia(links[name], weight, solids[name])
-        for name in sorted(carried - {*without}):
+        for name in (name for name in carried if name not in without):
             weight, _, tensor = known[name]
             if np.linalg.eigvalsh(tensor)[0] < urdf.LEAST_INERTIA:
                 self._found(links[name], "its inertia is not positive definite", "that of its convex hull")

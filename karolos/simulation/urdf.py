@@ -302,9 +302,9 @@ def load(
     """The simulated part of a URDF. The result is shared until the file changes, and must not be changed.
 
     Fixed joints and locked joints are merged, with the links that they move, into their parents. Elements for other
-    programs (transmissions, ros2_control, gazebo, mimic, safety controllers) are left out. A continuous joint becomes a
+    programs (transmissions, ros2_control, gazebo, safety controllers) are left out. A continuous joint becomes a
     revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and their links weigh at
-    least `FINGER_MASS`.
+    least `FINGER_MASS`; one that mimics another has its limits where it lacks its own. Other mimics are left out.
 
     Args:
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.
@@ -358,7 +358,11 @@ def _load(
                 f"{len(moving)} moving joints; at most {MOST_JOINTS} are allowed", where=str(path), hint=hint
             )
     _merge(robot, held)
-    found = []
+    found, named = [], {element.get("name"): element for element in moving if element.get("name") in slides}
+    for element in named.values():
+        mimic = element.find("mimic")
+        if mimic is not None and (leader := named.get(mimic.get("joint"))) is not None:
+            _mimic(element, leader, mimic)
     for element in moving:
         _make_simple(element, element.get("name") in slides)
         found.append(_joint(element, source, strict=strict, driven=driven))
@@ -491,6 +495,39 @@ def _held(order: Iterable[Element], locked: dict[str, float], path: Path) -> dic
             factor, offset = (float(mimics[name].get(key, usual)) for key, usual in (("multiplier", 1), ("offset", 0)))
             held[name] = held[mimics[name].get("joint", "")] * factor + offset
     return held
+
+
+def _mimic(element: Element, leader: Element, mimic: Element) -> None:
+    """Give a finger that mimics another one the limits that it lacks, which exporters write only for the motor.
+
+    If its own limits let it slide in the direction of the other, a negative multiplier turns it.
+    """
+    limit, other = element.find("limit"), leader.find("limit")
+    if other is None:
+        return
+    if limit is None:
+        limit = ElementTree.SubElement(element, "limit")
+    for key in ("effort", "velocity"):
+        if float(limit.get(key, "0")) <= 0 and key in other.attrib:
+            limit.set(key, other.get(key, ""))
+    factor, offset = (float(mimic.get(key, usual)) for key, usual in (("multiplier", "1"), ("offset", "0")))
+    sign = -1 if factor < 0 else 1
+    lacks = not float(limit.get("lower", "0")) < float(limit.get("upper", "0"))
+    if factor and (lacks or (sign < 0 and _way(element) @ _way(leader) > 0)):
+        axis = element.find("axis")
+        if axis is None:
+            axis = ElementTree.SubElement(element, "axis")
+        axis.set("xyz", " ".join(repr(sign * value) for value in _axis(element)))
+        for key in ("lower", "upper"):
+            limit.set(key, repr(abs(factor) * float(other.get(key, "0")) + sign * offset))
+
+
+def _way(element: Element) -> Array:
+    """The direction (3,) in which a slide moves away from 0, in its parent's frame."""
+    limit, (_, rotation) = element.find("limit"), origin_of(element)
+    lower, upper = (float(limit.get(key, "0")) if limit is not None else 0.0 for key in ("lower", "upper"))
+    way: Array = rotation @ _axis(element)
+    return -way if -lower > upper else way
 
 
 def _make_simple(element: Element, slide: bool) -> None:

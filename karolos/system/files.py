@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Generic, NamedTuple, TypeVar
+from urllib.parse import unquote
 
 from .. import system
 from ..errors import KarolosError, MachineError, UsageError
@@ -94,16 +95,16 @@ def is_portable(name: str) -> bool:
 def find_named(name: str, folder: Path) -> Path | None:
     """The file that a file of `folder` calls `name`, e.g. a mesh in a URDF; None if it does not exist.
 
-    A `package://` name is searched in this folder and its parents, with and without the name of the package.
+    A `package://` name is searched in this folder and its parents, with and without the name of the package. A name
+    with a scheme may have %20 for a space, and one without may have the backslashes of Windows.
     """
     scheme, separator, rest = name.partition("://")
+    rest = re.sub("^/(?=[A-Za-z]:)", "", rest)  # file:///C:/meshes/arm.stl
+    forms = (rest, unquote(rest)) if separator else (name, name.replace("\\", "/"))
+    around: tuple[Path, ...] = folder, folder.parent
     if scheme in ("package", "model") and separator:
-        places = [
-            place for above in (folder, *folder.parents) for place in (above / rest, above / rest.partition("/")[2])
-        ]
-    else:
-        rest = rest if separator else name
-        places = [folder / rest, folder.parent / rest]
+        around, forms = (folder, *folder.parents), tuple(part for one in forms for part in (one, one.partition("/")[2]))
+    places = (above / form for above in around for form in forms)
     return next((place.resolve() for place in places if os.path.isfile(place)), None)
 
 

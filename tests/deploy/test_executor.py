@@ -52,11 +52,10 @@ def test_each_fault_stops_the_robot_with_one_line_and_nothing_is_sent_afterwards
 class Camera(socketserver.StreamRequestHandler):
     """Cameras that answer twice as they should, then once with `answer`, then never."""
 
-    answer = ""
+    answer, good = "", '{"measured": {"object_position": [0.1, 0.2, 0.3], "temperature": [20]}}'
 
     def handle(self) -> None:
-        good = '{"measured": {"object_position": [0.1, 0.2, 0.3], "temperature": [20]}}'
-        for answer in (good, good, self.answer or good):
+        for answer in (self.good, self.good, self.answer or self.good):
             if not self.rfile.readline():
                 return
             self.wfile.write(answer.encode() + b"\n")
@@ -71,6 +70,8 @@ class Camera(socketserver.StreamRequestHandler):
         ('{"measured": [1]}', "not measured: the cameras do not answer"),
         ('{"measured": {"object_position": [1, [2]]}}', "not a number: object_position of the cameras is not a list"),
         ('{"measured": {"object_position": "left"}}', "not a number: object_position of the cameras is not a list"),
+        (f'{{"measured": {{"object_position": [1{400 * "0"}]}}}}', "not a number: object_position of the cameras"),
+        (100_000 * "[", "half a packet"),
     ],
 )
 def test_cameras_that_say_nothing_new_or_no_numbers_are_a_fault(answer, said):
@@ -110,17 +111,72 @@ def test_what_cameras_give_in_addition_changes_nothing(whole, monkeypatch, capsy
     assert actions[0] == actions[1]
 
 
-def test_a_signal_stops_the_robot_with_one_line(whole, monkeypatch, capsys):
+@pytest.mark.parametrize("name", [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)])
+def test_a_signal_stops_the_robot_with_one_line(name, whole, monkeypatch, capsys):
+    before = signal.getsignal(getattr(signal, name))
+
     class Signalled(Obedient):
         def send(self, point: Any) -> None:
             super().send(point)
             if len(self.sent) == BROKEN:
-                signal.raise_signal(signal.SIGTERM)
+                signal.raise_signal(getattr(signal, name))
 
     made = driven_by(Signalled, monkeypatch)
     assert command.main([str(whole), "--move", "--rate", "125"]) == command.STOPPED
     assert capsys.readouterr().err == "stopped: you asked for it\n"
     assert (len(made[0].sent), made[0].stops) == (BROKEN, 1)
+    assert signal.getsignal(getattr(signal, name)) is before
+
+
+def test_a_log_that_cannot_be_written_stops_the_robot_with_one_line(whole, tmp_path):
+    driver = Obedient(Bundle(whole), {})
+    executor = Executor(driver.bundle, driver, rate=125, log=tmp_path / "log")
+    log = executor._log
+    assert log is not None
+    log._file.close()
+    log._file = (tmp_path / "log").open("rb", buffering=0)  # as full as a disk can be
+    with pytest.raises(Fault, match=r"no log: .*log cannot be written: "):
+        executor.run()
+    assert (len(driver.sent), driver.stops) == (1, 1)
+
+
+@pytest.mark.parametrize("goal", [5, "abc", [[1, 2, 3]], [1, "a", 3], {}, [10**400, 0, 0]])
+def test_a_goal_of_the_cameras_that_is_none_is_refused_in_one_line(goal, whole, monkeypatch, capsys):
+    class Wanting(Obedient):
+        def begin(self, episode: int, *, move: bool) -> Any:
+            super().begin(episode, move=move)
+            return goal
+
+    driven_by(Wanting, monkeypatch)
+    assert command.main([str(whole), "--move"]) == command.REFUSED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("it needs 3 finite numbers, see the page of the bundle")
+
+
+@pytest.mark.parametrize("answer", ["true", "null", "0", '"maybe"', "[]"])
+def test_cameras_say_whether_an_episode_succeeds(answer):
+    kind = type("Answering", (Camera,), {"answer": "", "good": f'{{"success": {answer}}}'})
+    with socketserver.ThreadingTCPServer(("127.0.0.1", 0), kind) as server:
+        thread = threading.Thread(target=server.serve_forever)
+        thread.start()
+        sensors = Sensors("", None)
+        sensors._perception = Channel(f"127.0.0.1:{server.server_address[1]}")
+        if answer in ("true", "null", "0"):
+            assert sensors.outcome() == json.loads(answer)
+        else:
+            with pytest.raises(Fault, match=r"not measured: success is .* for the cameras; it is true, false or null"):
+                sensors.outcome()
+        server.shutdown()
+        sensors.close()
+        thread.join()
+
+
+def test_cameras_that_do_not_answer_are_named():
+    with socket.create_server(("127.0.0.1", 0)) as waiting:
+        channel = Channel(address := f"127.0.0.1:{waiting.getsockname()[1]}", 0.05)
+        with pytest.raises(Fault, match=f"connection lost: {address} did not answer for 0.05 s"):
+            channel.ask(do="begin")
+        channel.close()
 
 
 @pytest.mark.parametrize(
@@ -180,7 +236,11 @@ def test_a_log_of_every_cycle_gives_the_same_set_points_again(whole, tmp_path):
     assert len(columns["now"]) == 2 * 1250
     np.testing.assert_array_equal(columns["set_point"][-1][:6], driver.sent[-1].positions)
     assert replay(loaded, tmp_path / "log") == (2500, 0.0)
-    changed = bytearray((tmp_path / "log").read_bytes())
+    whole_log = (tmp_path / "log").read_bytes()
+    (tmp_path / "empty").write_bytes(whole_log[: whole_log.index(b"\n") + 1])
+    with pytest.raises(BundleError, match="empty has no cycle: the robot was stopped before the first one"):
+        replay(loaded, tmp_path / "empty")
+    changed = bytearray(whole_log)
     start = changed.index(b"\n") + 1 + 8 * (3 + 3)  # the first joint in the first row
     changed[start : start + 8] = np.float64(-0.22).tobytes()
     (tmp_path / "log").write_bytes(changed)

@@ -195,12 +195,15 @@ def mjcf_arm(name, joint):
 def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_of_its_sheet(arm):
     motors = [f'<motor joint="j{place}" ctrlrange="-{link[-1]} {link[-1]}"/>' for place, link in enumerate(LINKS, 1)]
     base = f'<body name="base"><geom size="0.05"/>{mjcf_arm("", lambda torque: "")}</body>'
-    text = f"<mujoco><worldbody>{base}</worldbody><actuator>{''.join(motors)}</actuator></mujoco>"
-    path = write(arm.parent, "arm.xml", text)
+    cube = '<body name="cube" pos=".5 0 .02"><freejoint/><geom size=".02"/><body><geom size=".01"/></body></body>'
+    target = '<body name="target" mocap="true" pos=".5 0 .2"><geom size=".02" contype="0" conaffinity="0"/></body>'
+    world = f"<worldbody>{cube}{base}{target}</worldbody>"
+    path = write(arm.parent, "arm.xml", f"<mujoco>{world}<actuator>{''.join(motors)}</actuator></mujoco>")
     robot = robot_of(path, gripper="robotiq_2f85", mass=9.0)
     assert robot.limits.effort == tuple(float(torque) for *_, torque in LINKS)
     assert set(robot.limits.velocity) == {USUAL_SPEED}
     assert robot.model.cut == ("hand_fixed",)
+    assert {"cube", "target"}.isdisjoint(robot.model.description.carriers), "objects of a scene are no part of an arm"
     masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
     assert sum(masses) == pytest.approx(9.0)
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)

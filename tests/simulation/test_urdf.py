@@ -139,6 +139,37 @@ def test_a_robot_as_exporters_write_it_moves_as_the_plain_one(tmp_path):
     assert other.robot.opening == pytest.approx(one.robot.opening, abs=1e-3)
 
 
+@pytest.mark.parametrize(
+    ("low", "high", "axis", "factor", "limit"),
+    [
+        (0, 0.04, 1, -1, 'lower="-.04" upper="0" effort="9" velocity="1"'),
+        (0, 0.04, 1, -1, 'lower="0" upper=".04" effort="9" velocity="1"'),
+        (-0.04, 0, 1, -1, 'lower="-.04" upper="0" effort="9" velocity="1"'),
+        (-0.02, 0.02, 1, -1, 'lower="-.02" upper=".02" effort="9" velocity="1"'),
+        (0, 0.04, 1, -1, 'lower="0" upper="0" effort="0" velocity="0"'),
+        (0, 0.04, 1, -0.5, ""),
+        (0, 0.04, -1, 1, ""),
+        (0.01, 0.04, -1, 1, 'lower="0" upper="0" effort="0" velocity="0"'),
+    ],
+)
+def test_a_finger_that_mimics_another_slides_against_it(low, high, axis, factor, limit, tmp_path):
+    kind = 'type="prismatic"><parent link="a"/>'
+    mimic = f'<mimic joint="g" multiplier="{factor}"/>' + (f"<limit {limit}/>" if limit else "")
+    slides = (
+        f'<joint name="{name}" {kind}<child link="{name}"/><origin xyz="0 {y} 0"/>{more}</joint>'
+        for name, y, more in (
+            ("g", 0.03, f'<axis xyz="0 1 0"/><limit lower="{low}" upper="{high}" effort="7" velocity=".5"/>'),
+            ("f", -0.03, f'<axis xyz="0 {axis} 0"/>{mimic}'),
+        )
+    )
+    (path := tmp_path / "hand.urdf").write_text(robot(A, *slides, *(B.replace('"b"', f'"{name}"') for name in "gf")))
+    one, other = urdf.load(path, slides=("g", "f")).joints
+    assert (other.lower, other.effort, other.velocity) == (0, *((9.0, 1.0) if 'effort="9"' in limit else (7.0, 0.5)))
+    for share in (0.0, 0.3, 1.0):
+        first, second = (joint.origin[1] + joint.axis[1] * share * joint.upper for joint in (one, other))
+        assert second == pytest.approx(-0.03 + axis * factor * (first - 0.03)), "as the format says"
+
+
 def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_stands(tmp_path):
     urdfs, meshes = tmp_path / "my_robot" / "urdf", tmp_path / "my_robot" / "meshes"
     urdfs.mkdir(parents=True)
@@ -147,6 +178,10 @@ def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_st
     mesh.touch()
     for name in ("../meshes/arm.stl", "meshes/arm.stl", "package://my_robot/meshes/arm.stl", f"file://{mesh}"):
         assert find_named(name, urdfs) == mesh, name
+    other = mesh.rename(meshes / "my arm.stl")
+    for name in (r"..\meshes\my arm.stl", "package://my_robot/meshes/my%20arm.stl", other.as_uri()):
+        assert find_named(name, urdfs) == other, name
+    other.rename(mesh)
     renamed = (tmp_path / "my_robot").rename(tmp_path / "robot-main")
     assert find_named("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
 

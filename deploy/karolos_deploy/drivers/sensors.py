@@ -30,7 +30,7 @@ def measured_of(answer: Mapping[str, Any]) -> dict[str, Array]:
     for name, values in fields.items():
         try:
             found[name] = np.array(values, float)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):  # of a number of 400 digits
             raise Fault("not a number", f"{name} of the cameras is not a list of numbers") from None
     return found
 
@@ -126,7 +126,10 @@ class Sensors:
 
     def outcome(self) -> bool | None:
         """Whether the episode ends in success, if the cameras know."""
-        return None if self._perception is None else self._perception.ask(do="outcome").get("success")
+        told = None if self._perception is None else self._perception.ask(do="outcome").get("success")
+        if told not in (None, True, False):
+            raise Fault("not measured", f"success is {told!r} for the cameras; it is true, false or null")
+        return told
 
     def close(self) -> None:
         """Stop reading."""

@@ -23,6 +23,9 @@ from ..faults import Fault
 from ..readings import Reading, SetPoint
 from . import Driver
 
+OWN_GROUP: Any = {"creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0), "start_new_session": True}
+"""Arguments of a process that Ctrl-C in a terminal does not reach, on every system."""
+
 
 class Channel:
     """A connection with lines of JSON: a request, then its answer.
@@ -33,6 +36,7 @@ class Channel:
     """
 
     def __init__(self, address: str, seconds: float = 60.0) -> None:
+        self._address, self._seconds = address, seconds
         host, _, port = address.rpartition(":")
         try:
             self._socket = socket.create_connection((host, int(port)), timeout=seconds)
@@ -48,11 +52,13 @@ class Channel:
             try:
                 self._socket.sendall(json.dumps(request).encode() + b"\n")
                 line = self._lines.readline()
+            except TimeoutError:
+                raise Fault("connection lost", f"{self._address} did not answer for {self._seconds:g} s") from None
             except OSError:
                 line = b""
         try:
             answer: dict[str, Any] = json.loads(line) if line.endswith(b"\n") else {"fault": "connection lost"}
-        except ValueError:
+        except (ValueError, RecursionError):
             answer = {"fault": "half a packet"}
         if not isinstance(answer, dict):
             answer = {"fault": "half a packet", "what": "the answer is no object of JSON"}
@@ -99,7 +105,9 @@ class Simulation(Driver):
     def _start(self) -> str:
         command = [self.values["python"], "-m", "karolos.export.simulated_robot", str(self.bundle.folder)]
         try:
-            self._process = subprocess.Popen(command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True)
+            self._process = subprocess.Popen(  # Ctrl-C in a terminal is for this process
+                command, stdout=subprocess.PIPE, stdin=subprocess.PIPE, text=True, **OWN_GROUP
+            )
         except OSError as error:
             raise BundleError(f"{self.values['python']} cannot be started: {error.strerror}") from None
         assert self._process.stdout is not None
@@ -164,6 +172,6 @@ class Simulation(Driver):
             assert self._process.stdin is not None
             self._process.stdin.close()  # it ends with its stdin
             try:
-                self._process.wait(10)
+                self._process.wait(2)
             except subprocess.TimeoutExpired:
                 self._process.kill()

@@ -9,6 +9,7 @@ parameters of the solver are left out. Karolos refuses parts that it cannot simu
   range, springs, armature, `ref`, gravity compensation, actuators, tendons, equalities, pairs and excludes of contacts;
 * in an arm: a ball joint, and several joints of one body.
 
+Objects beside an arm that move freely or as a target (mocap) are left out.
 A link of a fixture has the name of its joint, a link of an arm that of its body.
 """
 
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -98,7 +99,7 @@ def arm(path: Path, root: Element, lines: dict[Element, int], speed: float, slid
     """
     file = _MjcfFile(path, root, lines)
     with warnings.catch_warnings(action="ignore"):  # no hull determines a mass
-        bodies = list(file.bodies("convex"))
+        bodies = list(file.bodies("convex", file.objects()))
     robot = Element("robot", name=root.get("model", "arm"))
     if not bodies:
         raise PluginError("no bodies in <worldbody>", where=str(path), hint="an arm is a tree of bodies")
@@ -190,11 +191,20 @@ class _MjcfFile:
         self._keep_what_is_used()
         self._model = self._tried(self.spec.compile)
 
-    def bodies(self, collision: meshes.Collision | None) -> Iterator[_MjcfBody]:
-        """All bodies, each after its parent. A body that moves freely has no joint."""
+    def objects(self) -> set[int]:
+        """The bodies that move freely or as a target of control (mocap), and carry no further joint."""
+        model = self._model
+        roots = model.body_rootid
+        free = {int(roots[body]) for body in model.jnt_bodyid[model.jnt_type == mujoco.mjtJoint.mjJNT_FREE]}
+        free |= {int(roots[body]) for body in np.flatnonzero(model.body_mocapid >= 0)}
+        free -= {int(roots[body]) for body in model.jnt_bodyid[model.jnt_type != mujoco.mjtJoint.mjJNT_FREE]}
+        return {number for number in range(1, model.nbody) if int(roots[number]) in free}
+
+    def bodies(self, collision: meshes.Collision | None, without: Collection[int] = ()) -> Iterator[_MjcfBody]:
+        """All bodies but some, each after its parent. A body that moves freely has no joint."""
         model = self._model
         elements = {element.id: element for element in self.spec.bodies}
-        for number in range(1, model.nbody):
+        for number in (number for number in range(1, model.nbody) if number not in without):
             first = model.body_jntadr[number]
             joints = [self._joint(one) for one in range(first, first + model.body_jntnum[number])]
             joints = [joint for joint in joints if joint.kind != "free"]
