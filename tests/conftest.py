@@ -21,8 +21,8 @@ from karolos.tasks.throw_planner import ThrowPlanner
 
 Install = Callable[..., None]
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # of torch: two that share a busy core wait for each other
-settings.register_profile("without a clock", deadline=None)  # a busy machine breaks no law
-settings.load_profile("without a clock")
+settings.register_profile("ours", deadline=None, max_examples=50)  # a busy machine breaks no law
+settings.load_profile("ours")
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests press Ctrl-C, also where nohup or a shell ignores it
 
 
@@ -101,8 +101,8 @@ def caches(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def quick_proposals(caches: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What is assumed of an arm's file is found by later tests, and the first home with some room is taken."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(caches))
-    monkeypatch.setattr(poses, "CONFIGURATIONS", 1)
-    monkeypatch.setattr(poses, "ENOUGH", 0.2)
+    for name, value in {"CONFIGURATIONS": 1, "ENOUGH": 0.2, "GRID": (4, 5, 4)}.items():
+        monkeypatch.setattr(poses, name, value)
 
 
 @pytest.fixture

@@ -18,14 +18,13 @@ LINE = {"name": "toy", "dimensions": 1, "threshold": 0.2, "max_steps": 10}
 BITS = {"name": "bit_flip", "bits": 4}
 SMALL = {"hidden": [32, 32], "learning_rate": 3e-3, "discount": 0.9}
 
-HINDSIGHT = {"hindsight": {"ratio": 0.5}}
-ALL = HINDSIGHT | {"n_step": 3}
+ALL = {"hindsight": {"ratio": 0.5}, "n_step": 3}
 COMBINATIONS: list[tuple[str, dict[str, Any]]] = [
     ("ppo", {"name": "on_policy"}),
     *product(("sac", "td3", "ddpg"), ({"name": "uniform", **ALL}, {"name": "priority"})),
-    # each option alone, with the agent that is fast
-    *product(["dqn"], ({"name": name, **more} for name in ("uniform", "priority") for more in ({}, HINDSIGHT, ALL))),
-    ("dqn", {"name": "uniform", "n_step": 3}),
+    # with the agent that is fast: no option, one alone (hindsight below), and all with the other buffer
+    *product(["dqn"], ({"name": "uniform"}, {"name": "uniform", "n_step": 3}, {"name": "uniform", **ALL})),
+    ("dqn", {"name": "priority", **ALL}),
 ]
 """Agents with buffers that learn from the same kind of experience."""
 

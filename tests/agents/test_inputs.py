@@ -2,7 +2,7 @@
 
 import numpy as np
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
@@ -17,7 +17,6 @@ NUMBERS = st.floats(-1000, 1000, width=32)
 @given(
     batches=st.lists(hnp.arrays(np.float32, st.tuples(st.integers(1, 20), st.just(3)), elements=NUMBERS), min_size=1)
 )
-@settings(max_examples=50)
 def test_statistics_over_batches_equal_those_over_all_rows(batches):
     normaliser = Normaliser(3, "cpu")
     for rows in batches:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.worlds import Counting, SameStep, counting_signature, feed, make_buffer
 
@@ -33,7 +33,6 @@ def rows(batch: Batch) -> list[tuple[tuple[int, int], tuple[int, int], float, fl
     ]
 
 
-@settings(max_examples=60)
 @given(
     st.integers(2, 5),
     st.lists(st.tuples(st.integers(1, 6), st.booleans()), min_size=1, max_size=8),

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.worlds import Counting, counting_signature, goals, make_buffer, places
 
@@ -56,7 +56,6 @@ def allowed_goals(world: Counting, ring_size: int, strategy: str) -> dict[tuple[
 
 @pytest.mark.parametrize("strategy", ["future", "final", "episode"])
 @given(history=histories())
-@settings(max_examples=60)
 def test_hindsight_goals_come_from_what_is_left_of_the_same_episode(strategy, history):
     environments, max_steps, ring_size, calls = history
     hindsight = {"strategy": strategy, "ratio": 1.0, "min_displacement": 0.0}
@@ -89,7 +88,6 @@ def test_every_goal_the_strategy_names_is_drawn_over_the_ring_seam_too(strategy,
 
 
 @given(history=histories())
-@settings(max_examples=60)
 def test_holds_exactly_the_latest_transitions_of_each_environment(history):
     environments, max_steps, ring_size, calls = history
     buffer = make(counting_signature(max_steps), ring_size * environments, environments=environments)

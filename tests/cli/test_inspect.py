@@ -4,8 +4,6 @@ from PIL import Image
 from support.commands import karolos, refused, rows
 from support.robots import ROBOTS
 
-from karolos.registry import names
-
 SMALL = ("--width", "32", "--height", "24")
 
 
@@ -33,7 +31,7 @@ def test_robot_is_shown_without_a_goal(tmp_path):
     assert green("robot", "panda") == 0
 
 
-@pytest.mark.parametrize("name", names("tasks"))
+@pytest.mark.parametrize("name", ["reach", "insert", "throw"])  # tests/environments draws all
 def test_task_is_shown_with_a_picture(name, tmp_path):
     target = tmp_path / "task.png"
     assert "task.gravity" in karolos("inspect", "task", name, "--out", target, *SMALL).out

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Any
 
 import pytest
-from support.compared_runs import SPEC, contender, run
+from support.compared_runs import CURVES, SPEC, contender, run
 
 from karolos.comparison import Contender, Estimate, compare
 from karolos.comparison.scores import estimate as estimate_of
@@ -16,8 +16,6 @@ from karolos.plans.transfer import median_time_ratio
 from karolos.records.intervals import wilson
 from karolos.records.run_records import RunRecord
 from karolos.report.tables import compared_measures_table, estimate, verdict
-
-FIVE = [[0, 50, 90], [0, 40, 100], [10, 60, 95], [0, 0, 0], [0, 20, 85]]
 
 
 def test_one_run_has_the_wilson_interval_of_its_last_test_and_none_of_its_return():
@@ -66,13 +64,13 @@ def test_ratios_of_seeds_that_never_reach_a_threshold_are_infinite_and_count():
 
 
 def test_inter_quartile_mean_leaves_out_a_quarter_at_each_end():
-    [scores] = compare([contender("a", FIVE)], "any").scores
+    [scores] = compare([contender("a", CURVES)], "any").scores
     assert scores.iqm.value == pytest.approx((0.85 + 0.90 + 0.95) / 3)
     assert scores.any.value == pytest.approx((0.85 + 0.90 + 0.95 + 1.0) / 5)
 
 
 def test_steps_and_time_to_a_ratio_are_medians_with_those_that_never_got_there_counted_last():
-    [scores] = compare([contender("a", FIVE)], "any").scores
+    [scores] = compare([contender("a", CURVES)], "any").scores
     half, most = scores.reaching
     assert (half.ratio, half.reached, half.seeds, half.steps, half.seconds) == (0.5, 4, 5, 3000, 30)
     assert (most.ratio, most.reached, most.seeds, most.steps, most.seconds) == (0.9, 3, 5, 3000, 30)
@@ -81,7 +79,7 @@ def test_steps_and_time_to_a_ratio_are_medians_with_those_that_never_got_there_c
 
 
 def test_runs_are_compared_at_a_number_of_steps():
-    long, short = contender("a", FIVE), contender("b", [[0, 60], [0, 70]])
+    long, short = contender("a", CURVES), contender("b", [[0, 60], [0, 70]])
     compared = compare([long, short], "any", at=2050)
     assert [scores.any.value for scores in compared.scores] == [pytest.approx(0.34), pytest.approx(0.65)]
     assert [scores.steps for scores in compared.scores] == [2000, 2000]
@@ -93,7 +91,7 @@ def test_runs_are_compared_at_a_number_of_steps():
 
 def test_steps_far_from_every_test_of_a_run_are_refused():
     with pytest.raises(UsageError, match=r"--at: .* has no test near 3,000 steps; its nearest is at 2,000"):
-        compare([contender("a", FIVE), contender("b", [[0, 60]])], "any", at=3000)
+        compare([contender("a", CURVES), contender("b", [[0, 60]])], "any", at=3000)
 
 
 def test_success_at_the_end_is_what_counts():
@@ -119,7 +117,7 @@ def test_only_parameters_that_differ_are_listed():
 
 def test_rows_are_json_and_the_same_each_time():
     def text() -> list[str]:
-        rows = compare([contender("a", FIVE), contender("b", FIVE[::-1])], "any").rows()
+        rows = compare([contender("a", CURVES), contender("b", CURVES[::-1])], "any").rows()
         return [json.dumps(row, allow_nan=False) for row in rows]
 
     assert text() == text()

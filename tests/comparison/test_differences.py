@@ -21,10 +21,6 @@ def test_difference_is_the_same_from_both_sides(one, other):
     assert bool(there) == (one != other)
 
 
-def test_missing_key_is_told_from_null():
-    assert differences([{"a": {"b": None, "c": 1}}, {"a": {"c": 1}}]) == {"a.b": (None, MISSING)}
-
-
 def test_each_key_of_a_block_that_a_side_lacks_is_a_row():
     assert differences([{"robot": {"name": "ur5", "base": {"x": 0}}, "x": 1}, {"robot": None, "x": 1}]) == {
         "robot": (MISSING, None),

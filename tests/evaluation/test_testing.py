@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from support.processes import kill_worker
 
@@ -148,7 +148,6 @@ def test_distances_and_measures_are_those_at_the_end_of_each_episode_and_unknown
 scripts = st.lists(st.tuples(st.lists(st.booleans(), min_size=2, max_size=7).map(tuple), st.booleans()), min_size=1)
 
 
-@settings(deadline=None)
 @given(scripts=scripts, size=st.integers(1, 12))
 def test_every_episode_counts_once_whatever_its_length_and_the_number_of_environments(scripts, size):
     assert play(scripts, size) == expected(scripts)

@@ -11,7 +11,7 @@ import pytest
 from support.fork_server import FORKS
 from support.listeners import Heard, stopping_at
 from support.states import assert_same_state
-from support.toy_runs import run_of, toy
+from support.toy_runs import fill_disk, run_of, toy
 
 from karolos.errors import MachineError, RunError, StoreError, UsageError
 from karolos.experiment.check import check_parts
@@ -201,15 +201,8 @@ def test_a_loss_that_is_not_a_number_stops_the_run_and_names_it(tmp_path, monkey
 
 @pytest.mark.parametrize(("fails", "state"), [(5, "finished"), (10**6, "failed")])
 def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fails(tmp_path, monkeypatch, fails, state):
-    save, left = checkpoint.save, list(range(fails))  # two of three tests, and the end of training
-
-    def full(*arguments):
-        if left:
-            left.pop()
-            raise MachineError("no space left on the disk", hint="free some")
-        return save(*arguments)
-
-    monkeypatch.setattr("karolos.records.checkpoint.save", full)
+    left = iter(range(fails))  # two of three tests, and the end of training
+    fill_disk(monkeypatch, lambda _: next(left, None) is None)
     heard = Heard()
     outcome = Experiment(spec()).run(tmp_path, listener=heard, check=False)
     assert (outcome.runs[0].state, outcome.exit_code) == (state, int(state == "failed"))
@@ -221,15 +214,8 @@ def test_a_full_disk_costs_warnings_and_a_run_whose_policy_is_never_written_fail
 
 
 def test_a_best_test_whose_checkpoint_was_not_written_keeps_no_later_one_from_being_written(tmp_path, monkeypatch):
-    save, failed = checkpoint.save, []
-
-    def full_once(folder, name, *content):
-        if name == "best" and not failed:
-            failed.append(name)
-            raise MachineError("no space left on the disk")
-        return save(folder, name, *content)
-
-    monkeypatch.setattr("karolos.records.checkpoint.save", full_once)
+    failed = []
+    fill_disk(monkeypatch, lambda name: name != "best" or failed or failed.append(name))
     monkeypatch.setattr("karolos.experiment.checkpointer._rank", lambda result: (1 / result.steps,))  # the first: best
     folder = run_of(spec(), tmp_path)
     assert failed

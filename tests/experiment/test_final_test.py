@@ -7,13 +7,12 @@ from typing import Any
 import pytest
 from support import toy_runs
 
-from karolos.errors import MachineError
 from karolos.evaluation import due_tests
 from karolos.evaluation.policies import load_agent
 from karolos.evaluation.testing import play_episodes, test_seeds
 from karolos.experiment.events import RunFinalTested
 from karolos.launchers.experiment import Experiment, Outcome, resume_run
-from karolos.records import RunFolder, checkpoint
+from karolos.records import RunFolder
 from karolos.records.run_folder import FINAL as FILE
 from karolos.specification import spec_from_dict
 from karolos.store import Store, query, reindex
@@ -73,14 +72,7 @@ def test_its_event_comes_once_it_is_written(tmp_path):
 
 
 def test_the_best_policy_is_tested_where_the_last_could_not_be_saved(tmp_path, monkeypatch):
-    save = checkpoint.save
-
-    def full(folder: Path, name: str, *content: Any) -> Path:
-        if name == "last":
-            raise MachineError("no space left on the disk")
-        return save(folder, name, *content)
-
-    monkeypatch.setattr("karolos.records.checkpoint.save", full)
+    toy_runs.fill_disk(monkeypatch, lambda name: name != "last")
     summary = toy_runs.run_of(TOY, tmp_path).summary()
     assert summary.state == "failed"
     last, best = RunFolder.open(summary.folder).final().values()

@@ -13,9 +13,9 @@ import pytest
 from support.listeners import Heard, stopping_at
 from support.run_samples import stored
 from support.states import assert_same_runs
-from support.toy_runs import run_of
+from support.toy_runs import fill_disk, run_of
 
-from karolos.errors import MachineError, RunError, UsageError
+from karolos.errors import RunError, UsageError
 from karolos.experiment.events import RunStarted
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
@@ -171,15 +171,8 @@ def test_a_run_that_lost_files_goes_on_from_the_newest_sound_checkpoint_or_begin
 
 def test_a_damaged_checkpoint_does_not_replace_the_one_before(whole, broken, monkeypatch):
     damage_last(broken)
-    save = checkpoint.save
-
-    def full(folder: Path, name: str, *rest: Any) -> None:
-        if name == "last":
-            raise MachineError("the disk is full")
-        save(folder, name, *rest)
-
     with monkeypatch.context() as patch:
-        patch.setattr(checkpoint, "save", full)
+        fill_disk(patch, lambda name: name != "last")
         with pytest.raises(RunError, match="the policy at the end of training could not be written"):
             resume_run(broken, Store.default_url(broken.path.parent)).check()
     go_on(RunFolder.open(broken.path))

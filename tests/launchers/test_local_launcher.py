@@ -42,7 +42,6 @@ def prepare(launcher: LocalLauncher) -> None:
     wait_for(ready, SECONDS)
 
 
-@pytest.mark.usefixtures("real_processes")
 def test_a_process_executes_several_runs_stops_one_by_its_file_and_is_replaced_when_it_dies(tmp_path):
     first, stopped, killed = (new_run(tmp_path, seed, steps) for seed, steps in enumerate((40, 10**6, 10**6)))
     before = set(child_processes())

@@ -17,7 +17,7 @@ from karolos.launchers.experiment import Experiment
 from karolos.launchers.slurm import SlurmLauncher
 from karolos.records import RunFolder
 
-TOY = toy(seeds=[0, 1], training={"steps": 600}, testing={"interval": 100})
+TOY = toy(training={"steps": 600}, testing={"interval": 100})
 SHORT = toy(training={"steps": 200}, testing={"interval": 100})
 
 
@@ -28,7 +28,7 @@ def slurm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     programs.mkdir()
     state.mkdir()
     for name in ("sbatch", "squeue", "scancel", "scontrol"):
-        (programs / name).write_text(f"#!{sys.executable}\n{Path(fake_slurm.__file__).read_text()}")
+        (programs / name).write_text(f"#!{sys.executable} -IS\n{Path(fake_slurm.__file__).read_text()}")
         (programs / name).chmod(0o755)
     monkeypatch.setenv("FAKE_SLURM", str(state))
     monkeypatch.setenv("PATH", f"{programs}{os.pathsep}{os.environ['PATH']}")
@@ -54,16 +54,16 @@ def test_a_run_that_reaches_its_time_limit_is_queued_again_and_equals_an_undistu
     def reach_time_limit() -> None:
         process = wait_for(lambda: process_of(slurm / "1_0"))
         os.kill(process, signal.SIGUSR1)  # which kills it, because it has not begun
-        wait_for(lambda: list(runs.glob("toy-s1-*/tests.jsonl")))
-        os.kill(int((slurm / "1_1").read_text().split()[0]), signal.SIGUSR1)
+        wait_for(lambda: list(runs.glob("toy-s0-*/tests.jsonl")))
+        os.kill(int((slurm / "1_0").read_text().split()[0]), signal.SIGUSR1)
 
     limit = threading.Thread(target=reach_time_limit)
     limit.start()
     outcome = Experiment(TOY | {"launcher": "slurm"}).run(runs, check=False)
     limit.join()
-    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 1), ("finished", 2)]
-    (undisturbed,) = Experiment(TOY | {"seeds": [1]}).run(tmp_path / "undisturbed").runs
-    tests, same = (RunFolder.open(run.folder).tests() for run in (outcome.runs[1], undisturbed))
+    assert [(run.state, run.attempt) for run in outcome.runs] == [("finished", 2)]
+    (undisturbed,) = Experiment(TOY).run(tmp_path / "undisturbed").runs
+    tests, same = (RunFolder.open(run.folder).tests() for run in (outcome.runs[0], undisturbed))
     assert [(test.steps, test.returns) for test in tests] == [(test.steps, test.returns) for test in same]
 
 

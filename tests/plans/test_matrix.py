@@ -165,22 +165,13 @@ def test_a_matrix_that_makes_no_sense_is_an_invalid_spec(overrides, words):
     assert all(word in str(caught.value) for word in words), caught.value
 
 
-def test_a_misspelt_setting_is_shown_where_it_stands(tmp_path):
-    path = tmp_path / "line.yaml"
-    path.write_text(
-        "environment: toy\nagent: sac\ntransfer:\n  variants: {a: {environment.speed: 0.1}, b: {environment.sped: 2}}\n"
-    )
-    with pytest.raises(SpecError, match=r"line\.yaml:4:\d+: environment.sped: no such key; did you mean 'speed'\?"):
+def test_settings_that_are_misspelt_or_that_transfers_do_not_change_are_shown_where_they_stand(tmp_path):
+    path, begin = tmp_path / "line.yaml", "environment: toy\nagent: sac\ntransfer:\n  variants:\n"
+    path.write_text(f"{begin}    a: {{environment.speed: 0.1}}\n    b: {{environment.sped: 2}}\n")
+    with pytest.raises(SpecError, match=r"line\.yaml:6:\d+: environment.sped: no such key; did you mean 'speed'\?"):
         Matrix(load_spec(path))
-
-
-def test_a_setting_that_transfers_do_not_change_is_shown_where_it_stands(tmp_path):
-    path = tmp_path / "line.yaml"
-    path.write_text(
-        "environment: toy\nagent: sac\n"
-        "transfer:\n  variants:\n    a: {environment.speed: 0.1}\n    b: {agent.tau: 0.1}\n"
-        "  fine_tune:\n    training.steps: 80\n    robot.tool_step: 5\n"
-    )
+    others = "  fine_tune:\n    training.steps: 80\n    robot.tool_step: 5\n"
+    path.write_text(f"{begin}    a: {{environment.speed: 0.1}}\n    b: {{agent.tau: 0.1}}\n{others}")
     with pytest.raises(SpecError) as caught:
         load_spec(path)
     assert [str(one.where).removeprefix(f"{path}:") for one in caught.value.problems] == ["6:9", "9:5"]

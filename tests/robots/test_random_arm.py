@@ -10,6 +10,8 @@ from karolos.environments.build import opened
 from karolos.robots.random_arm import FAMILIES, _draws, _model, _write
 from karolos.specification import load_spec
 
+pytestmark = pytest.mark.usefixtures("quick_proposals")
+
 
 @pytest.fixture(scope="module", autouse=True)
 def caches(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:

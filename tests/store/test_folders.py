@@ -128,7 +128,7 @@ def rows(store: Store) -> dict[str, int]:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@settings(max_examples=15, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=15, suppress_health_check=[HealthCheck.too_slow])
 @given(operations)
 def test_rebuilt_index_gives_the_same_answers_whatever_was_done(kind, done):
     with tempfile.TemporaryDirectory() as place:

@@ -1,11 +1,15 @@
-"""A spec whose run ends within a second."""
+"""A spec whose run ends within a second, and a disk that is full."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import pytest
+
+from karolos.errors import MachineError
 from karolos.launchers.experiment import Experiment
 from karolos.launchers.runs import Home
-from karolos.records import RunFolder
+from karolos.records import RunFolder, checkpoint
 from karolos.specification import spec_from_dict
 
 TOY: dict[str, Any] = {
@@ -46,3 +50,15 @@ def created(spec: dict[str, Any], runs: Path, seed: int = 0) -> RunFolder:
     folder = Home(runs, "").create(spec_from_dict(spec), seed)
     folder.release()
     return folder
+
+
+def fill_disk(patch: pytest.MonkeyPatch, fits: Callable[[str], object]) -> None:
+    """Checkpoints of a name that does not fit cannot be written."""
+    save = checkpoint.save
+
+    def full(folder: Path, name: str, *content: Any) -> Path:
+        if not fits(name):
+            raise MachineError("no space left on the disk")
+        return save(folder, name, *content)
+
+    patch.setattr(checkpoint, "save", full)

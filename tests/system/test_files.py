@@ -21,20 +21,16 @@ def full_disk(*_: object) -> None:
     raise FULL
 
 
-def test_whole_file_is_replaced_and_nothing_else_is_left(tmp_path):
-    write_whole(tmp_path / "state.json", "old")
-    write_whole(tmp_path / "state.json", "new")
-    assert (tmp_path / "state.json").read_text() == "new"
-    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
-
-
-def test_full_disk_keeps_the_old_file_and_says_so(tmp_path, monkeypatch):
-    write_whole(tmp_path / "state.json", "old")
+def test_whole_file_is_replaced_and_kept_if_the_disk_is_full_and_nothing_else_is_left(tmp_path, monkeypatch):
+    path = tmp_path / "state.json"
+    for text in ("old", "new"):
+        write_whole(path, text)
+    assert path.read_text() == "new"
     monkeypatch.setattr(os, "fsync", full_disk)
     with pytest.raises(MachineError, match=r"state\.json: the disk is full; free some space"):
-        write_whole(tmp_path / "state.json", "new")
-    assert (tmp_path / "state.json").read_text() == "old"
-    assert [path.name for path in tmp_path.iterdir()] == ["state.json"]
+        write_whole(path, "newer")
+    assert path.read_text() == "new"
+    assert list(tmp_path.iterdir()) == [path]
 
 
 def test_full_disk_leaves_no_part_of_a_line(tmp_path, monkeypatch):

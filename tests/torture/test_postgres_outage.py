@@ -18,7 +18,7 @@ import pytest
 from support.torture import TIMES, karolos
 from support.toy_runs import toy
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[1]
 RUNS, SECONDS = 16, 10.0
 """Commands, and how long the server is gone."""
 
@@ -32,7 +32,7 @@ def asked(*arguments: str) -> tuple[int, str, str]:
 
 def start(folder: Path) -> str:
     """The URL of a new server."""
-    made = subprocess.run([ROOT / ".ci" / "postgres", folder], capture_output=True, text=True, check=True)
+    made = subprocess.run([ROOT / "scripts" / "postgres", folder], capture_output=True, text=True, check=True)
     return made.stdout.strip()
 
 

@@ -4,6 +4,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from support import datasets
+from support.toy_runs import toy
 
 from karolos.core.seeding import SeedTree
 from karolos.errors import UsageError
@@ -14,15 +16,7 @@ from karolos.specification import spec_from_dict
 from karolos.specification.model import DemonstrationSettings
 from karolos.training.demonstrations import collect_demonstrations
 
-REACH: dict[str, Any] = {
-    "robot": {"name": "panda", "control": "cartesian"},
-    "task": {"name": "reach", "reward": "sparse"},
-    "agent": {"name": "sac", "hidden": [8]},
-    "buffer": {"name": "uniform", "capacity": 1000, "hindsight": {}},
-    "orchestrator": {"processes": 0, "environments": 2},
-    "training": {"steps": 60, "batch_size": 8, "replay_ratio": 1, "warmup_episodes": 0},
-    "testing": {"interval": 60, "episodes": 1},
-}
+REACH = toy(datasets.REACH, task={"max_steps": 50}, training={"steps": 60}, testing={"interval": 60})
 
 
 def collected(seed: int = 0, **settings: Any) -> Any:

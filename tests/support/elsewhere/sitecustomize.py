@@ -9,7 +9,7 @@ module that may ask for the system: it keeps the names of Linux and is told that
 import builtins, os, sys, threading, types, warnings
 
 AS = os.environ.get("KAROLOS_AS")
-MINE = tuple(os.environ.get("KAROLOS_AS_MODULES", "karolos,karolos_cli").split(","))
+MINE = ("karolos", "karolos_cli")
 ALLOWED = {"karolos.system"}
 MODULES = {
     "windows": "fcntl resource pwd grp termios tty pty posix syslog crypt spwd readline curses",
@@ -105,12 +105,8 @@ def _install() -> None:
         system = sys.modules.get("karolos.system")
         if AS == "macos" and system is not None:
             system.LINUX, system.MACOS = False, True
-        if (
-            AS == "windows"
-            and system is not None
-            and not getattr(system, "_told", False)
-            and hasattr(system, "detached")
-        ):
+        known = system is not None and not getattr(system, "_told", False) and hasattr(system, "detached")
+        if AS == "windows" and known:
             system.BINARY = 1 << 30
             system._told = system.WINDOWS = True
             system.LINUX = False
@@ -173,16 +169,7 @@ def _windows():
 
     def refuse(path: str, below: bool = False) -> None:
         if who := held(path, below):
-            error = PermissionError(errno.EACCES, f"The process cannot access the file because it is open: {who}", path)
-            if os.environ.get("KAROLOS_AS_LOG"):
-                import traceback
-
-                with open(os.environ["KAROLOS_AS_LOG"], "a", encoding="utf-8") as log:
-                    frame = [
-                        f for f in traceback.extract_stack()[:-2] if "/karolos" in f.filename or "/cli/" in f.filename
-                    ]
-                    log.write(f"{frame[-1].filename}:{frame[-1].lineno} {who}\n" if frame else f"? {who}\n")
-            raise error
+            raise PermissionError(errno.EACCES, f"The process cannot access the file because it is open: {who}", path)
 
     def move(how):
         def moved(source, target, *, src_dir_fd=None, dst_dir_fd=None):
