@@ -52,7 +52,7 @@ TARGETS = {
     "pick": (0.97, 30),
     "pick_demos": (0.97, 12),
     "throw": (0.95, 120),
-    "insert": (0.99, 120),
+    "insert": (0.99, 60),
     "insert_demos": (0.99, 120),
     "stack": (0.97, 150),
     "stack_demos": (0.95, 180),

@@ -27,7 +27,6 @@ SEEDS = 2
 STEPS = {
     "reach": 2_000,
     "push": 30_000,
-    "insert": 40_000,
     "stack_demos": 20_000,
     "slide_demos": 40_000,
 }
