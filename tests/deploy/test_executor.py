@@ -1,12 +1,16 @@
 """The executor: it stops for each fault with one line, sends nothing after it, and writes a log that replays."""
 
 import json
+import os
 import signal
 import socket
 import socketserver
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -109,6 +113,19 @@ def test_what_cameras_give_in_addition_changes_nothing(whole, monkeypatch, capsy
         assert command.main([str(whole), "--rate", "125"]) == 0
         actions.append(capsys.readouterr().out)
     assert actions[0] == actions[1]
+
+
+def test_a_reader_that_ends_stops_the_robot_with_one_line(whole):
+    code = "import sys; from karolos_deploy import command; from support.drivers import Obedient; "
+    code += "command.find = lambda _: Obedient; sys.exit(command.main())"
+    read, write = os.pipe()
+    os.close(read)
+    arguments, path = [sys.executable, "-c", code, str(whole), "--move"], Path(__file__).parents[1]
+    done = subprocess.run(
+        arguments, stdout=write, stderr=subprocess.PIPE, text=True, cwd=path, check=False, timeout=120
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (command.STOPPED, "stopped: nobody reads the output\n")
 
 
 @pytest.mark.parametrize("name", [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)])
