@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from karolos_deploy import Bundle, BundleError, Executor, Fault, Reading, command
+from karolos_deploy.bundle import write_sums
 from karolos_deploy.drivers.franka import Franka
 from karolos_deploy.drivers.sensors import Sensors
 from karolos_deploy.drivers.simulation import Channel, Simulation
@@ -233,6 +234,25 @@ def test_a_flipped_bit_is_refused_before_anything_moves(name, bundle, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("refused: ")
     assert str(bundle) in line
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("policy.yaml", "karolos:", "karolos: [", "ParserError: "),
+        ("policy.yaml", "karolos:", "other:", "KeyError: 'karolos'"),
+        ("policy.yaml", "force: 150.0", "force: 150 N", "TypeError: "),
+        ("golden.npz", "PK", "PP", "ValueError: "),
+    ],
+)
+def test_an_edited_bundle_with_right_sums_is_refused_in_one_line(name, old, new, said, bundle, capsys):
+    data = (bundle / name).read_bytes()
+    assert old.encode() in data
+    (bundle / name).write_bytes(data.replace(old.encode(), new.encode()))
+    write_sums(bundle)
+    assert command.main([str(bundle), "--move"]) == command.REFUSED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"refused: {bundle} was edited, and is no whole bundle: {said}")
 
 
 def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle, monkeypatch):
