@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from os import PathLike
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 import yaml
@@ -44,11 +46,17 @@ class Bundle:
     def __init__(self, folder: str | PathLike[str], *, onnx: bool = False) -> None:
         self.folder = Path(folder)
         check_sums(self.folder)
+        with _readable(self.folder):
+            self._read(onnx=onnx)
+
+    def _read(self, *, onnx: bool) -> None:
         with (self.folder / "policy.yaml").open(encoding="utf-8") as file:
             whole = yaml.load(file, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         self.contract: dict[str, Any] = whole["karolos"]
         if (found := self.contract["format"]) not in (FORMAT, JOINTS_FORMAT):
-            raise BundleError(f"{folder} has format {found}; this version reads formats {FORMAT} and {JOINTS_FORMAT}")
+            raise BundleError(
+                f"{self.folder} has format {found}; this version reads formats {FORMAT} and {JOINTS_FORMAT}"
+            )
         self.chain: Chain = chain_of(self.contract)
         self.policy: Policy = _onnx_policy(self.folder) if onnx else NumpyPolicy(self.folder / "policy.npz")
         with np.load(self.folder / "golden.npz", allow_pickle=False) as golden:
@@ -65,6 +73,10 @@ class Bundle:
 
         Raises BundleError if an observation or action is not the recorded one.
         """
+        with _readable(self.folder):
+            return self._replay()
+
+    def _replay(self) -> int:
         logged, observer = self.episode(), Observer({**self.contract, "wrench": {"filter": 0.0}})  # logged after it
         for step in range(len(logged["time"])):
             reading = Reading.logged(logged, step)
@@ -82,6 +94,16 @@ class Bundle:
             raise BundleError(
                 f"golden mismatch: {where}: the {what} differs by {error:.2g}; do not use this bundle here"
             )
+
+
+@contextmanager
+def _readable(folder: Path) -> Iterator[None]:
+    """Raise BundleError if files whose sums are right do not hold what a bundle needs: somebody edited them."""
+    try:
+        yield
+    except (yaml.YAMLError, BadZipFile, LookupError, TypeError, ValueError) as error:
+        what = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise BundleError(f"{folder} was edited, and is no whole bundle: {what}; export it again") from None
 
 
 def check_sums(folder: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import signal
 import sys
 from collections.abc import Sequence
@@ -44,7 +45,9 @@ def main(arguments: list[str] | None = None) -> int:
         if before is not signal.SIG_IGN:  # as nohup says
             signal.signal(one, signal.default_int_handler)  # as Ctrl-C: the robot is stopped
     try:
-        return _run(given)
+        code = _run(given)
+        sys.stdout.flush()
+        return code
     except BundleError as error:
         print(f"refused: {error}", file=sys.stderr)
         return REFUSED
@@ -53,6 +56,10 @@ def main(arguments: list[str] | None = None) -> int:
         return STOPPED
     except KeyboardInterrupt:
         print("stopped: you asked for it", file=sys.stderr)
+        return STOPPED
+    except BrokenPipeError:  # `| head`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for what Python still writes at its end
+        print("stopped: nobody reads the output", file=sys.stderr)
         return STOPPED
     finally:
         for one, before in asked.items():

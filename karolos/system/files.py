@@ -100,7 +100,7 @@ def find_named(name: str, folder: Path) -> Path | None:
     """
     scheme, separator, rest = name.partition("://")
     rest = re.sub("^/(?=[A-Za-z]:)", "", rest)  # file:///C:/meshes/arm.stl
-    forms = (rest, unquote(rest)) if separator else (name, name.replace("\\", "/"))
+    forms: tuple[str, ...] = (rest, unquote(rest)) if separator else (name, name.replace("\\", "/"))
     around: tuple[Path, ...] = folder, folder.parent
     if scheme in ("package", "model") and separator:
         around, forms = (folder, *folder.parents), tuple(part for one in forms for part in (one, one.partition("/")[2]))

@@ -1,17 +1,22 @@
 """The executor: it stops for each fault with one line, sends nothing after it, and writes a log that replays."""
 
 import json
+import os
 import signal
 import socket
 import socketserver
+import subprocess
+import sys
 import threading
 import time
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from karolos_deploy import Bundle, BundleError, Executor, Fault, Reading, command
+from karolos_deploy.bundle import write_sums
 from karolos_deploy.drivers.franka import Franka
 from karolos_deploy.drivers.sensors import Sensors
 from karolos_deploy.drivers.simulation import Channel, Simulation
@@ -109,6 +114,19 @@ def test_what_cameras_give_in_addition_changes_nothing(whole, monkeypatch, capsy
         assert command.main([str(whole), "--rate", "125"]) == 0
         actions.append(capsys.readouterr().out)
     assert actions[0] == actions[1]
+
+
+def test_a_reader_that_ends_stops_the_robot_with_one_line(whole):
+    code = "import sys; from karolos_deploy import command; from support.drivers import Obedient; "
+    code += "command.find = lambda _: Obedient; sys.exit(command.main())"
+    read, write = os.pipe()
+    os.close(read)
+    arguments, path = [sys.executable, "-c", code, str(whole), "--move"], Path(__file__).parents[1]
+    done = subprocess.run(
+        arguments, stdout=write, stderr=subprocess.PIPE, text=True, cwd=path, check=False, timeout=120
+    )
+    os.close(write)
+    assert (done.returncode, done.stderr) == (command.STOPPED, "stopped: nobody reads the output\n")
 
 
 @pytest.mark.parametrize("name", [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)])
@@ -216,6 +234,25 @@ def test_a_flipped_bit_is_refused_before_anything_moves(name, bundle, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("refused: ")
     assert str(bundle) in line
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "said"),
+    [
+        ("policy.yaml", "karolos:", "karolos: [", "ParserError: "),
+        ("policy.yaml", "karolos:", "other:", "KeyError: 'karolos'"),
+        ("policy.yaml", "force: 150.0", "force: 150 N", "TypeError: "),
+        ("golden.npz", "PK", "PP", "ValueError: "),
+    ],
+)
+def test_an_edited_bundle_with_right_sums_is_refused_in_one_line(name, old, new, said, bundle, capsys):
+    data = (bundle / name).read_bytes()
+    assert old.encode() in data
+    (bundle / name).write_bytes(data.replace(old.encode(), new.encode()))
+    write_sums(bundle)
+    assert command.main([str(bundle), "--move"]) == command.REFUSED
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"refused: {bundle} was edited, and is no whole bundle: {said}")
 
 
 def test_a_policy_that_does_not_act_as_recorded_is_refused(bundle, monkeypatch):
