@@ -140,9 +140,11 @@ def test_a_signal_ends_a_command_whose_environment_hangs_with_a_line(command, nu
     (tmp_path / "hostile.yaml").write_text(json.dumps(spec))
     (tmp_path / "all.yaml").write_text("specs: [hostile.yaml]")
     words = [sys.executable, "-m", "karolos_cli", command, "all.yaml" if command == "suite" else "hostile.yaml"]
-    variables = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1]), "HANGS": str(tmp_path / "hangs")}
-    with subprocess.Popen(words, cwd=tmp_path, env=variables, stdout=-1, stderr=-1, text=True) as process:
-        wait_for((tmp_path / "hangs").exists)
+    path = {**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])}
+    with subprocess.Popen(words, cwd=tmp_path, env=path, stdout=-1, stderr=-1, text=True) as process:
+        children = Path(f"/proc/{process.pid}/task/{process.pid}/children")
+        wait_for(children.read_text)
+        time.sleep(1.0)  # until a worker hangs
         began = time.monotonic()
         process.send_signal(number)
         process.wait()

@@ -75,8 +75,8 @@ PROMISES = dict([*promises_alone(), *promises_of_pairs()])
 
 @pytest.mark.parametrize("who", PROMISES)
 def test_every_promise_is_kept(who, monkeypatch):
-    # `karolos plugins check` plays twice as many and begins six times as many; bench/ plays hundreds
-    for module, name, number in (pairs, "EPISODES", 5), (pairs, "CHANCE_EPISODES", 2), (environments, "STARTS", 50):
+    # `karolos plugins check` plays 10 and 4 episodes and begins 300; bench/ plays hundreds
+    for module, name, number in (pairs, "EPISODES", 4), (pairs, "CHANCE_EPISODES", 1), (environments, "STARTS", 50):
         monkeypatch.setattr(module, name, number)
     found = list(results(PROMISES[who]()))
     assert found
