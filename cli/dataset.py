@@ -94,8 +94,7 @@ def dataset(
         from karolos.recordings.cameras import poses
 
         about["cameras"] = poses(recipe, tuple(dict.fromkeys(camera)), (size, size))
-    if out.exists() and any(out.iterdir()):
-        _check_same(recording, about, out)
+    _check_same(recording, about, out)
     recording.begin(about)
     with _orchestrator(spec, recipe, films, about, expert=expert) as environments:
         recorder = Recorder(
@@ -175,9 +174,14 @@ def _outcome(played: Sequence[Played]) -> dict[str, Any]:
 
 
 def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) -> None:
-    """Raise UsageError unless the folder holds the beginning of the same dataset."""
+    """Raise UsageError unless the folder is empty, missing, or holds the beginning of the same dataset."""
     from json import dumps, loads
 
+    from karolos.system.files import writing
+
+    with writing(out):  # a file may be in the way
+        if not out.exists() or not any(out.iterdir()):
+            return
     before = recording.about()
     if before is None:
         raise UsageError("the folder is not empty", where=str(out), hint="name another folder with --out")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from itertools import chain
 from math import isclose, pi
 from pathlib import Path
 from typing import Any
@@ -56,6 +57,9 @@ def open_source(path: Path) -> Dataset:
     if (path / DESCRIPTION).is_file():
         return read_own(path)
     what = "is no recording" if path.is_dir() else "there is no such folder"
+    below = (path.glob(f"{'*/' * depth}data/metadata.json") for depth in (1, 2, 3))  # in namespaces of Minari
+    if found := next(chain.from_iterable(below), None):
+        return refuse(path, "holds recordings, and is none itself", f"write {found.parent.parent.as_posix()}")
     return refuse(
         path, what, "name a LeRobotDataset v3 (meta/), a Minari dataset (data/) or what `karolos dataset` wrote"
     )

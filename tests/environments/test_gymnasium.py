@@ -91,6 +91,7 @@ def test_success_is_a_return_at_the_end(threshold, success):
     ("settings", "where"),
     [
         ({"id": "CartPol-v1"}, "environment.id"),
+        ({"id": "CartPole"}, "environment.id"),
         ({"id": "nowhere:Foo-v1"}, "environment.id"),
         ({"id": "a b"}, "environment.id"),
         ({"id": "CartPole-v1", "kwargs": {"foo": 1}}, "environment.kwargs"),
@@ -112,6 +113,25 @@ def test_what_cannot_work_is_one_clear_line_about_a_setting(settings, where):
         make(**settings)
     assert caught.value.setting == where
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "told"),
+    [
+        ("nowhere:Foo-v1", "Python finds no module 'nowhere'; put the folder of its file into PYTHONPATH"),
+        ("support.nowhere:Foo-v1", "Python finds no module 'support.nowhere'; put"),
+        ("CartPole", "names no version, and gymnasium takes the newest; write CartPole-v1"),
+    ],
+)
+def test_an_id_that_gymnasium_does_not_find_is_told_with_what_to_do(name, told):
+    with pytest.raises(KarolosError, match=told):
+        make(id=name)
+
+
+@pytest.mark.parametrize("file", ["envs.py", "./envs.py", "mine/envs.py", "..\\mine\\envs.py"])
+def test_a_file_in_place_of_a_module_is_refused(file):
+    with pytest.raises(ValueError, match='write "envs:Point-v0", and put its folder into PYTHONPATH'):
+        Gymnasium.Settings(id=f"{file}:Point-v0")
 
 
 def test_goals_may_be_taken_as_observations():

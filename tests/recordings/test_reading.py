@@ -193,3 +193,11 @@ def test_behaviour_cloning_takes_no_environment_step(tmp_path):
     del given["demonstrations"]
     with pytest.raises(UsageError, match="nothing to learn from"):
         check_parts(spec_from_dict(given, cloned[:1]))
+
+
+def test_a_folder_above_a_recording_is_told_with_the_recording_in_it(tmp_path):
+    (tmp_path / "set/karolos/reach/expert-v0/data").mkdir(parents=True)
+    (tmp_path / "set/karolos/reach/expert-v0/data/metadata.json").write_text("{}")
+    told = "set: holds recordings, and is none itself; write .*set/karolos/reach/expert-v0$"
+    with pytest.raises(UsageError, match=told):
+        read_recordings(tmp_path / "set", facts(), {}, 1)

@@ -90,6 +90,9 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
     assert not (out / ".recording").exists()
     code, _, said = call(app, *COMMAND, str(out))
     assert (code, "the folder is not empty" in said) == (2, True)
+    assert call(app, *COMMAND, str(out / "README.md"))[2].endswith(
+        "a file is in the way of a folder; name another folder\n"
+    )
     begun = tmp_path / "begun"
     call(app, *COMMAND, str(begun), "--format", "karolos")
     shutil.copytree(begun, tmp_path / "other" / ".recording")

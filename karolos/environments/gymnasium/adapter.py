@@ -96,6 +96,11 @@ class Gymnasium(Environment):
         def _well_formed(cls, name: str) -> str:
             if not all(name.split(":")) or name.count(":") > 1:
                 raise ValueError(f'{name!r} must be "Name-v0" or "module:Name-v0"')
+            module, _, own = name.rpartition(":")
+            stem = module.removesuffix(".py").replace("\\", "/").rpartition("/")[2]
+            if module != stem and not all(part.isidentifier() and part != "py" for part in module.split(".")):
+                what = f"{module!r} is a file, not the name of a module"
+                raise ValueError(f'{what}; write "{stem}:{own}", and put its folder into PYTHONPATH')
             return name
 
         @model_validator(mode="after")
@@ -131,6 +136,10 @@ class Gymnasium(Environment):
                 raise UsageError(what, setting="environment.max_steps", hint=hint)
             steps = settings.max_steps
             if not steps:  # env.spec lacks the registered limit, because it was made without TimeLimit
+                made = getattr(env.spec, "id", "")
+                if made.rpartition("-v")[0] == settings.id.rpartition(":")[2]:
+                    what = f"{settings.id} names no version, and gymnasium takes the newest"
+                    raise UsageError(what, setting=ID_SETTING, hint=f"write {made}")
                 listed = spec(settings.id.rpartition(":")[2]).max_episode_steps
                 steps = min(filter(None, (limit, listed)), default=None)
             if not steps:
@@ -301,6 +310,10 @@ def make_environment(settings: Gymnasium.Settings) -> Any:
     except KarolosError:
         raise
     except (gymnasium.error.DependencyNotInstalled, ImportError) as error:
+        if module and getattr(error.__cause__, "name", None) in (module, module.partition(".")[0]):
+            what = f"{settings.id}: Python finds no module {module!r}"
+            hint = "put the folder of its file into PYTHONPATH, or install its package"
+            raise MachineError(what, setting=ID_SETTING, hint=hint) from error
         raise MachineError(f"{settings.id} needs a missing library: {_line(error)}", setting=ID_SETTING) from error
     except gymnasium.error.Error as error:
         raise UsageError(
