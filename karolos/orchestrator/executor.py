@@ -229,7 +229,7 @@ def _check_reset(environment: Environment, step: Step) -> None:
     if not _is_finite(step):
         hint = "check how the environment computes them"
         raise PluginError(f"{name}.reset returns numbers that are not finite", hint=hint)
-    if step.terminated or step.truncated:
+    if (step.terminated or step.truncated) and not step.diverged:
         hint = "begin an episode in a state from which it goes on"
         raise PluginError(f"{name}.reset returns a step that ends the episode", hint=hint)
 

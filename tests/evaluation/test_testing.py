@@ -177,7 +177,8 @@ class Diverging(Scripted):
 
     def _now(self, reward: float) -> Step:
         step = super()._now(reward)
-        return step._replace(truncated=step.truncated or len(self._successes) == 1)
+        over = len(self._successes) == 1
+        return step._replace(truncated=step.truncated or over, diverged=over)
 
 
 def test_an_episode_that_is_over_at_its_reset_counts_as_one():
