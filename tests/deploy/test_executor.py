@@ -131,7 +131,8 @@ def test_a_reader_that_ends_stops_the_robot_with_one_line(whole):
 
 @pytest.mark.parametrize("name", [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name)])
 def test_a_signal_stops_the_robot_with_one_line(name, whole, monkeypatch, capsys):
-    before = signal.getsignal(getattr(signal, name))
+    handler = signal.default_int_handler if name == "SIGINT" else signal.SIG_DFL
+    inherited = signal.signal(getattr(signal, name), handler)  # under nohup it is ignored, and then left so
 
     class Signalled(Obedient):
         def send(self, point: Any) -> None:
@@ -143,7 +144,7 @@ def test_a_signal_stops_the_robot_with_one_line(name, whole, monkeypatch, capsys
     assert command.main([str(whole), "--move", "--rate", "125"]) == command.STOPPED
     assert capsys.readouterr().err == "stopped: you asked for it\n"
     assert (len(made[0].sent), made[0].stops) == (BROKEN, 1)
-    assert signal.getsignal(getattr(signal, name)) is before
+    assert signal.signal(getattr(signal, name), inherited) is handler
 
 
 def test_a_log_that_cannot_be_written_stops_the_robot_with_one_line(whole, tmp_path):
