@@ -148,7 +148,7 @@ def _columns(layout: Layout) -> list[tuple[Kind, int, int]]:
             raise UsageError(
                 f"it is unknown how {field.name} changes if the scene is mirrored or moved",
                 setting="buffer.augmentation",
-                hint="remove it; it needs actions that move the tool, and fields that have a `kind`",
+                hint="set it to null; it needs actions that move the tool, and fields that have a `kind`",
             )
         kinds = field.kind if isinstance(field.kind, tuple) else (field.kind,) * field.size
         found = [(kind, sign, place) for kind in kinds for place, sign in enumerate(SIGNS[kind])][: field.size]

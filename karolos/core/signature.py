@@ -122,7 +122,7 @@ class GoalRule(ABC):
 
     @property
     def sparse(self) -> bool:
-        """Whether the reward is 0 on success, else -1, so that success gives it."""
+        """Whether the reward is 0 on success, else -1. It then follows from `success`."""
         return type(self).reward is GoalRule.reward
 
     @abstractmethod
@@ -189,18 +189,16 @@ class Signature:
     """The measures of an episode, see `Environment.measures`. Their names differ."""
 
     def __post_init__(self) -> None:
-        layouts = ("observation", "achieved_goal", "desired_goal", "parameters")
-        for name, kinds in (*((name, Layout) for name in layouts), ("action", Layout | Discrete)):
-            if not isinstance(value := getattr(self, name), kinds):
-                wanted = "Layout" if kinds is Layout else "Layout or Discrete"
+        kinds: dict[str, Any] = dict.fromkeys(("observation", "achieved_goal", "desired_goal", "parameters"), Layout)
+        for name, kind in {**kinds, "action": Layout | Discrete, "goal_rule": GoalRule | None}.items():
+            if not isinstance(value := getattr(self, name), kind):
+                wanted = "Layout or Discrete" if name == "action" else "GoalRule" if name == "goal_rule" else "Layout"
                 raise TypeError(f"a signature's {name} must be a {wanted}, not {value!r}")
         if not isinstance(self.max_steps, Integral) or self.max_steps < 1:
             raise ValueError(f"a signature's max_steps must be a positive integer, not {self.max_steps!r}")
         for name in ("reward_range", "extra_reward"):
             if not (isinstance(span := getattr(self, name), Sequence) and len(span) == 2 and span[0] <= span[1]):
                 raise ValueError(f"a signature's {name} must be (smallest, largest), not {span!r}")
-        if not isinstance(self.goal_rule, GoalRule | None):
-            raise TypeError(f"a signature's goal_rule must be a GoalRule, not {self.goal_rule!r}")
 
     @property
     def observed_goal(self) -> tuple[list[int], list[int]]:

@@ -222,7 +222,7 @@ def _is_finite(step: Step) -> bool:
 
 
 def _check_reset(environment: Environment, step: Step) -> None:
-    """Raise PluginError for a wrong shape, numbers that are not finite, or an episode that is over at once."""
+    """Raise PluginError for a wrong shape, numbers that are not finite, or an end of the episode without divergence."""
     name, signature = type(environment).__name__, environment.signature
     _check_shapes(environment, step)
     _check_shape(name, "parameters", environment.parameters(), signature.parameters.size)

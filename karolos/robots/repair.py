@@ -192,9 +192,9 @@ class Repair:
             change = f"{weight:.3g} kg: its convex hull of {density:.0f} kg/m3"
             self._found(links[name], "it moves and has no mass", change)
             _set_inertia(links[name], weight, solids[name])
-        for name in (name for name in carried if name not in without):
+        for name in carried:
             weight, _, tensor = known[name]
-            if np.linalg.eigvalsh(tensor)[0] < urdf.LEAST_INERTIA:
+            if name not in without and np.linalg.eigvalsh(tensor)[0] < urdf.LEAST_INERTIA:
                 self._found(links[name], "its inertia is not positive definite", "that of its convex hull")
                 _set_inertia(links[name], weight, solids[name])
                 for other in (other for other, carrier in loose.carriers.items() if carrier == name != other):

@@ -103,7 +103,8 @@ def find_named(name: str, folder: Path) -> Path | None:
     forms: tuple[str, ...] = (rest, unquote(rest)) if separator else (name, name.replace("\\", "/"))
     around: tuple[Path, ...] = folder, folder.parent
     if scheme in ("package", "model") and separator:
-        around, forms = (folder, *folder.parents), tuple(part for one in forms for part in (one, one.partition("/")[2]))
+        around = folder, *folder.parents
+        forms = (*forms, *(form.partition("/")[2] for form in forms))  # without the name of the package
     places = (above / form for above in around for form in forms)
     return next((place.resolve() for place in places if os.path.isfile(place)), None)
 

@@ -66,7 +66,6 @@ def make_buffer(spec: Spec, signature: Signature, seeds: SeedTree, *, environmen
 
 STEPS = 3
 """Steps of the first episode, with random actions."""
-GOALS = ("achieved_goal", "desired_goal")
 EPISODES = 16
 """Number of episodes that begin if randomization samples worlds. With up to eight worlds, nearly all are tried."""
 
@@ -109,7 +108,7 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
                     if action is None or step.terminated[0] or step.truncated[0]:
                         break
                     environments.step([0], action[None])
-            _check_rewards(environments.signature, steps)
+            _check_rewards_and_rule(environments.signature, steps)
             return environments.signature
     except KarolosError as error:
         if error.setting is not None:
@@ -122,19 +121,20 @@ def _tried(spec: Spec, recipe: Recipe, episodes: int) -> Signature:
         raise kind(what, setting=key, plugin=error.plugin, hint=error.hint) from None
 
 
-def _check_rewards(signature: Signature, steps: Sequence[Step]) -> None:
+def _check_rewards_and_rule(signature: Signature, steps: Sequence[Step]) -> None:
     """Raise a PluginError for a reward beyond its range, or a goal rule that does not judge each of several goals.
 
     The first step is that of the reset.
     """
     low, high = signature.reward_range
     for reward in (float(step.reward[0]) for step in steps[1:]):
-        if not low - 1e-4 <= reward <= high + 1e-4:
+        if not low - 1e-4 <= reward <= high + 1e-4:  # float32 rounds
             what = f"the environment gave reward {reward:g}, outside its reward_range [{low:g}, {high:g}]"
             raise PluginError(what, hint="declare the whole range, because learned values are limited to it")
     if (rule := signature.goal_rule) is None:
         return
-    achieved, desired = (np.concatenate([getattr(step, name) for step in steps]) for name in GOALS)
+    achieved = np.concatenate([step.achieved_goal for step in steps])
+    desired = np.concatenate([step.desired_goal for step in steps])
     for name in ("success", "reward", "terminated"):
         if (shape := np.shape(getattr(rule, name)(achieved, desired))) != (len(steps),):
             what = f"the goal rule's {name} has the shape {shape} for {len(steps)} goals, not ({len(steps)},)"

@@ -201,10 +201,12 @@ class _MjcfFile:
         return {number for number in range(1, model.nbody) if int(roots[number]) in free}
 
     def bodies(self, collision: meshes.Collision | None, without: Collection[int] = ()) -> Iterator[_MjcfBody]:
-        """All bodies but some, each after its parent. A body that moves freely has no joint."""
+        """The bodies except those in `without`, each after its parent. A body that moves freely has no joint."""
         model = self._model
         elements = {element.id: element for element in self.spec.bodies}
-        for number in (number for number in range(1, model.nbody) if number not in without):
+        for number in range(1, model.nbody):
+            if number in without:
+                continue
             first = model.body_jntadr[number]
             joints = [self._joint(one) for one in range(first, first + model.body_jntnum[number])]
             joints = [joint for joint in joints if joint.kind != "free"]
