@@ -11,7 +11,7 @@ from ..records import RunFolder, checkpoint, provenance
 from ..records.shipped import is_shipped
 from ..specification import Spec, spec_from_dict
 from .events import Listener
-from .resume import LAST, check_files, find_run
+from .resume import LAST, check_files, find_run, learner_of
 from .writer import RunWriter
 
 CHANGEABLE = ("name", "training.steps", "training.device", "training.threads", "training.diverging")
@@ -51,26 +51,28 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
     """The run of `continued_spec`: the existing one, or a new one with everything that the source has.
 
     Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
+
+    Raises CheckpointError if a checkpoint is damaged, MachineError if the folder cannot be written. No run is left.
     """
     check_files(spec, source)
     seed, runs = source.description()["seed"], source.path.resolve().parent
     if (found := find_run(runs, spec.name, spec.hash(), seed)) is not None:
         return found
     folder = RunFolder.create(runs, spec.name, seed)
-    for name in checkpoint.names(source.checkpoints):
-        parts, meta = checkpoint.load(source.checkpoints, name)
-        checkpoint.save(folder.checkpoints, name, parts, meta | {"experiment": spec.hash()})
-    for name in ("tests.jsonl", "episodes.jsonl"):
-        if (path := source.path / name).exists():
-            shutil.copy(path, folder.path)
-    before, about = source.state(), source.description()
     origin = {"run": source.id, "steps": spec.dump()["continued_from"]["at"]}
-    made: dict[str, Any] = {"changed": spec.changed(), "files": spec.files(), "continued_from": origin}
-    folder.describe(spec.dump(), experiment=spec.hash(), **made)
+    with folder.removed_on_error():
+        for name in checkpoint.names(source.checkpoints):
+            parts, meta = checkpoint.load(source.checkpoints, name)
+            checkpoint.save(folder.checkpoints, name, parts, meta | {"experiment": spec.hash()})
+        for name in ("tests.jsonl", "episodes.jsonl"):
+            if (path := source.path / name).exists():
+                shutil.copy(path, folder.path)
+        made: dict[str, Any] = {"changed": spec.changed(), "files": spec.files(), "continued_from": origin}
+        folder.describe(spec.dump(), experiment=spec.hash(), **made)
+    before = source.state()
     folder.set_state("created", steps=before.steps, updates=before.updates, seconds=before.seconds)
-    learner: dict[str, Any] = next((row for row in reversed(source.events()) if "device" in row), {})
-    folder.event("continued", **origin, **{key: learner[key] for key in ("device", "precision") if key in learner})
-    if other := provenance.other_software(about):
+    folder.event("continued", **origin, **learner_of(source))
+    if other := provenance.other_software(source.description()):
         what = f"{source.id} was made with other software: {'; '.join(other)}"
         RunWriter(folder, None, listener).warn(what, "its continuation may differ from one unbroken run")
     folder.release()

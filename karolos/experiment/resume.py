@@ -66,6 +66,12 @@ def newest_snapshot(folder: RunFolder) -> Snapshot:
     return Snapshot({}, {"steps": 0, "updates": 0, "episodes_bytes": 0})
 
 
+def learner_of(folder: RunFolder) -> dict[str, str]:
+    """Device and precision with which the run learned last, as its events say; empty if they do not."""
+    row: dict[str, Any] = next((row for row in reversed(folder.events()) if "device" in row), {})
+    return {key: row[key] for key in ("device", "precision") if key in row}
+
+
 def check_files(spec: Spec, folder: RunFolder) -> None:
     """Raise a RunError if a file that the run's spec names has changed since the run was made."""
     made, now = folder.description().get("files") or {}, spec.files()

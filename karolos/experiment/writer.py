@@ -17,7 +17,7 @@ from ..store import Store
 from ..training.collecting import Episode
 from ..training.training import Progress, Training
 from .events import Listener, RunAdvanced, RunBusy, RunWarned
-from .resume import Snapshot
+from .resume import Snapshot, learner_of
 
 ADVANCE_SECONDS = 0.1
 """Minimal time between two RunAdvanced or two RunBusy events."""
@@ -120,7 +120,7 @@ class RunWriter:
         consequence = "it may differ from an unbroken run"
         if found:
             self.warn(f"it began with other software: {'; '.join(found)}", consequence)
-        before: dict[str, Any] = next((row for row in reversed(self.folder.events()) if "device" in row), {})
+        before = learner_of(self.folder)
         other = [f"{name} {now} after {before[name]}" for name, now in learner.items() if before.get(name, now) != now]
         if other:
             self.warn(f"it learns on another machine: {', '.join(other)}", consequence)

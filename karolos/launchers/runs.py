@@ -81,9 +81,10 @@ class Home:
 
     def create(self, spec: Spec, seed: int) -> RunFolder:
         """A new run's folder, locked."""
-        folder = RunFolder.create(self.runs, spec.name, seed)
         changed, files = spec.changed(), spec.files()
-        folder.describe(spec.dump(), experiment=spec.hash(), text=self.text, changed=changed, files=files)
+        folder = RunFolder.create(self.runs, spec.name, seed)
+        with folder.removed_on_error():
+            folder.describe(spec.dump(), experiment=spec.hash(), text=self.text, changed=changed, files=files)
         return folder
 
 

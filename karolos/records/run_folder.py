@@ -7,7 +7,7 @@ import os
 import platform
 import re
 from collections.abc import Iterable, Iterator, Mapping
-from contextlib import suppress
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from fnmatch import fnmatchcase
@@ -160,6 +160,15 @@ class RunFolder:
     def release(self) -> None:
         """Unlock the run. Safe to call twice."""
         self._lock.release()
+
+    @contextmanager
+    def removed_on_error(self) -> Iterator[None]:
+        """Remove the folder if the block, which fills it, raises an error: without run.json nobody would find it."""
+        with ExitStack() as undo:
+            undo.callback(system.remove_tree, self.path, ignore_errors=True)
+            undo.callback(self.release)
+            yield
+            undo.pop_all()
 
     def is_locked(self) -> bool:
         """Whether a living process has locked the run."""

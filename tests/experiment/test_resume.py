@@ -15,7 +15,7 @@ from support.run_samples import stored
 from support.states import assert_same_runs
 from support.toy_runs import fill_disk, run_of
 
-from karolos.errors import RunError, UsageError
+from karolos.errors import MachineError, RunError, UsageError
 from karolos.experiment.events import RunStarted
 from karolos.experiment.resume import Snapshot, newest_snapshot
 from karolos.experiment.run import run_or_resume
@@ -357,3 +357,8 @@ def test_a_finished_run_goes_on_as_a_run_of_its_own_bit_for_bit(case, tmp_path, 
     with pytest.raises(ZeroDivisionError):
         resume_run(short, url, ["training.steps=500"])
     assert list(tmp_path.iterdir()) == there, "what is refused leaves no run"
+    monkeypatch.undo()
+    fill_disk(monkeypatch, lambda name: name != "last")
+    with pytest.raises(MachineError, match="no space left"):
+        resume_run(short, url, ["training.steps=500"])
+    assert list(tmp_path.iterdir()) == there, "a run that cannot be copied whole is no run"
