@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
@@ -18,8 +19,8 @@ from .resume import LAST, PREVIOUS
 from .writer import RunWriter
 
 BEST = "best"
-TEST = ("steps", "updates", "seconds", "agent")
-"""Values of a pending test that `last` contains."""
+PENDING = ("steps", "updates", "seconds", "agent")
+"""Fields of a pending test that `last` contains."""
 
 
 @dataclass
@@ -106,7 +107,7 @@ class Checkpointer:
                 "best": list(self._best),
                 "demonstrated": self.demonstrated,
                 "diverged": list(self.diverged),
-                "tests": [{name: getattr(test, name) for name in TEST} for test in self.pending],
+                "tests": [{name: getattr(test, name) for name in PENDING} for test in self.pending],
             },
         }
         if self.last_is_whole:
@@ -141,7 +142,10 @@ class Checkpointer:
 
 
 def _rank(result: Evaluation) -> tuple[float, ...]:
-    """Key by which tests are compared: success, or return if the environment does not define success."""
+    """Key by which tests are compared: success, or return if the environment does not define success.
+
+    A return that is not finite is the worst, because nan would stay the best for ever.
+    """
     if result.success_end is None or result.success_any is None:
-        return 0.0, result.known_return
+        return 0.0, -math.inf if result.mean_return is None else result.mean_return
     return 1.0, result.success_end, result.success_any

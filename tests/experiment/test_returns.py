@@ -16,8 +16,10 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from typer import Typer
 
 from karolos.evaluation.zero_shot import zero_shot_test
+from karolos.experiment.checkpointer import _rank
 from karolos.launchers.experiment import Experiment
 from karolos.records import RunFolder, checkpoint
+from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunSummary
 from karolos.report.tables import transfers_table
 from karolos.store import Store, query, reindex
@@ -71,6 +73,11 @@ def test_best_is_the_policy_of_the_highest_return(run):
     best = max(folder.tests(), key=lambda test: test.mean_return)
     meta = checkpoint.read_meta(folder.checkpoints, "best")
     assert (meta["steps"], meta["chosen_by"]) == (best.steps, {"mean_return": best.mean_return})
+
+
+def test_any_return_is_better_than_one_that_is_not_finite():
+    infinite, low, high = (Evaluation(0, 0.0, 1, None, None, None, mean_return) for mean_return in (None, -1e30, -1.0))
+    assert sorted((high, infinite, low), key=_rank) == [infinite, low, high]
 
 
 def test_lines_of_a_run_and_series_say_returns_only(told):
