@@ -109,7 +109,7 @@ class Comparison:
 
     @property
     def what(self) -> Literal["success", "return"]:
-        """The contenders of the scores."""
+        """Word for the compared quantity."""
         return "return" if self.metric == "return" else "success"
 
     @property

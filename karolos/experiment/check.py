@@ -39,7 +39,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         KarolosError: a plugin or the machine prevents it.
     """
     with spec.located():
-        signature, size = try_environments(spec), environments_of(spec)
+        signature, size = try_environments(spec), environment_count(spec)
         check_memory(spec, signature, jobs)
         with spec.making("agent"):
             agent = make_agent(spec, signature, SeedTree(0))
@@ -58,7 +58,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
 
 def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
     """Raise a UsageError for an amount of training that the agent does not use or that is impossible."""
-    amounts, size = spec.training, environments_of(spec)
+    amounts, size = spec.training, environment_count(spec)
     if (amounts.at_least or 0) > size:
         raise UsageError(
             f"{amounts.at_least} environments are never ready at the same time, because there are only {size}",
@@ -103,7 +103,7 @@ def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:
 
 def _doubt(spec: Spec, agent: Agent, buffer: Buffer, signature: Signature) -> str | None:
     """Why a run may make no gradient update, or why all trials of a sweep may have the same objective; else None."""
-    amounts, size = spec.training, environments_of(spec)
+    amounts, size = spec.training, environment_count(spec)
     budget = f"training.steps is {amounts.steps}"
     if agent.on_policy:
         if buffer.capacity is not None and buffer.capacity > amounts.steps:
@@ -127,7 +127,7 @@ def _is_set(spec: Spec, name: str) -> bool:
     return bool(getattr(spec.training, name) != type(spec.training).model_fields[name].default)
 
 
-def environments_of(spec: Spec) -> int:
+def environment_count(spec: Spec) -> int:
     """Number of environments of a run; 1 if the orchestrator's settings do not say."""
     return getattr(spec.orchestrator.settings, "size", 1)
 
@@ -151,7 +151,7 @@ def _needs(spec: Spec, signature: Signature) -> Iterator[tuple[int, str, str]]:
 
     Parts are known by their settings `processes`, `hidden`, `capacity` and `rollout`.
     """
-    training, environments = spec.training, environments_of(spec)
+    training, environments = spec.training, environment_count(spec)
 
     processes = getattr(spec.orchestrator.settings, "processes", 0)
     what = f"training and testing with {processes} worker processes each"

@@ -206,7 +206,7 @@ def _problems(invalid: Invalid, tree: Node, plugins: Plugins) -> Iterator[Proble
             if path == ("environment",) or any(closest(other, [str(path[-1])]) for other in siblings):
                 continue  # `bind` reports it, or it is misspelt
         whole = (*invalid.path, *path)
-        what, hint = _said(invalid, path, entries, tree, plugins)
+        what, hint = _what_and_hint(invalid, path, entries, tree, plugins)
         yield Problem(_place(tree, whole, entries[0]), dotted(whole), what, hint)
 
 
@@ -218,7 +218,7 @@ def _place(tree: Node, path: Path, entry: Mapping[str, Any]) -> Mark:
     return tree.at if mark == DEFAULT else mark
 
 
-def _said(
+def _what_and_hint(
     invalid: Invalid, path: Path, entries: list[dict[str, Any]], tree: Node, plugins: Plugins
 ) -> tuple[str, str | None]:
     """The mistake at a path, and a hint. Several errors at one path come from the members of a union."""

@@ -136,7 +136,10 @@ class Episodes:
         return failures
 
     def _play_again(self, environments: np.ndarray, steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
-        """Play the episodes of these environments from their seeds and actions; returns the failures. See above."""
+        """Play the episodes of these environments from their seeds and actions; returns the failures.
+
+        Arguments `steps` and `latest` are those of `_replay_lost`.
+        """
         failures: tuple[Failure, ...] = ()
         self._reset(environments)
         for step in range(int(steps[environments].max()) + 1):
