@@ -113,7 +113,8 @@ class LocalLauncher(Launcher):
     @override
     def close(self, *, kill: bool) -> None:
         for process in self._processes:
-            process.orders.close()  # which ends a run after a checkpoint
+            with contextlib.suppress(OSError):  # it may have ended before it got its last order
+                process.orders.close()  # which ends a run after a checkpoint
             if kill or process.folder is None:
                 process.child.kill()
         for process in self._processes:

@@ -85,6 +85,17 @@ def test_a_process_that_ends_before_it_is_ready_is_replaced(tmp_path, monkeypatc
         assert launcher.room(1) == 1
 
 
+def test_a_process_that_ended_before_its_order_keeps_no_other_from_being_closed(tmp_path):
+    before = set(child_processes())
+    with LocalLauncher(LocalLauncher.Settings(), 2) as launcher:
+        wait_for(lambda: launcher.wait(0.0) is None and launcher.room(2) == 2, SECONDS)
+        first = launcher._processes[0].child
+        first.kill()
+        first.wait()
+        launcher.start(tmp_path)
+    assert set(child_processes()) <= before
+
+
 def test_a_process_that_cannot_begin_is_an_error_that_says_how_it_ended(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.launchers.local.COMMAND", (sys.executable, "-c", "raise SystemExit(3)"))
     with (
