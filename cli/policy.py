@@ -212,7 +212,7 @@ def _score_expert(path: Path, overrides: Sequence[str], episodes: int | None, se
     spec = load_spec(path, overrides)
     testing = spec.testing
     seed = testing.final_seed if seed is None else seed
-    first, count = FirstSuccesses(), episodes or testing.final_count or testing.episodes
+    first, count = FirstSuccesses(), episodes or testing.held_out_count
     found = evaluate_alone(spec, expert_policy, episodes=count, seed=seed, heard=first)
     low, high = found.interval(found.successes_end or 0)
     row = {"spec": spec.name, "policy": "expert", "seed": seed, "episodes": found.episodes}

@@ -13,7 +13,7 @@ from torch.nn import functional
 from .layers import Tape
 
 LOG_STD_BOUNDS = (-5.0, 2.0)
-"""Bounds of a Gaussian policy: below, log probabilities explode; above, actions are corners only."""
+"""Bounds of a policy's log standard deviation: below, log probabilities explode; above, actions are corners only."""
 
 
 class SquashedActions(NamedTuple):

@@ -47,7 +47,7 @@ def iqm(values: ArrayLike) -> _Floats:
     cut = count // 4
     # nan last; for many values a partition at the quartiles is enough
     ordered = np.sort(ordered) if count < MANY else np.partition(ordered, (cut, count - 1 - cut, count - 1))
-    middle = ordered[..., cut : ordered.shape[-1] - cut].mean(axis=-1)
+    middle = ordered[..., cut : count - cut].mean(axis=-1)
     return np.where(np.isnan(ordered[..., -1]), np.nan, middle)
 
 

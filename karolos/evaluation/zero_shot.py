@@ -113,7 +113,7 @@ def zero_shot_test(
     if note := engine_note(saved.spec, spec):
         on_warning(note)
     seed = spec.testing.final_seed if seed is None else seed
-    count = (spec.testing.final_count or spec.testing.episodes) if episodes is None else episodes
+    count = spec.testing.held_out_count if episodes is None else episodes
     use_threads(spec)
 
     def play(spec: Spec, *, drawing: bool) -> Evaluation:

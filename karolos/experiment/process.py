@@ -60,9 +60,8 @@ def execute_folder(path: Path, cores: int, driver: int | None = None) -> str | N
                 if not stop.requested:
                     run_or_resume(run, None, _progress_writer(run), stop, two_processes=cores >= 2)
                 system.remove(run.progress, missing_ok=True)
-            requeued = (
-                stop.signal is not None and stop.signal == system.REQUEUED
-            )  # a batch system starts another process
+            # A batch system that sent this signal starts another process.
+            requeued = stop.signal is not None and stop.signal == system.REQUEUED
     except KarolosError as error:
         problem = str(error)
     if path.is_dir() and not requeued:

@@ -91,8 +91,8 @@ class Run:
         spec, seeds = self.spec, SeedTree(self.seed)
         use_threads(spec)
         with ExitStack() as stack:
-            self._points = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
-            stack.callback(self._points.close)
+            self._tensorboard = TensorBoardWriter(self.folder.tensorboard, self._writer, self.snapshot)
+            stack.callback(self._tensorboard.close)
             with self.stop.at_once():
                 environments = stack.enter_context(make_orchestrator(spec, randomize=True))
                 signature, size = environments.signature, environments.size
@@ -227,7 +227,7 @@ class Run:
         """Report episodes and metrics of the agent since the last report. Raises RunError if a metric is not finite."""
         metrics = training.read_metrics()
         self._writer.write_episodes(episodes, training.orchestrator.signature.parameters.names)
-        self._points.add_report(training, episodes, metrics)
+        self._tensorboard.add_report(training, episodes, metrics)
 
     def _test(self, training: Training, tests: PendingTests, *, due: bool) -> None:
         """Add a test if one is due, and record finished tests."""
@@ -241,7 +241,7 @@ class Run:
 
     def _tested(self, training: Training, test: DueEvaluation, result: Evaluation) -> None:
         self._writer.write_test(training, result)
-        self._points.add_test(result)
+        self._tensorboard.add_test(result)
         self._checkpointer.tested(training, test, result)
         self.listener(RunTested(self.folder.id, result))
 
@@ -271,7 +271,7 @@ class Run:
             if test is not None
         }
         self._writer.write_final(final)
-        self._points.add_final(final["last"])
+        self._tensorboard.add_final(final["last"])
         self.listener(RunFinalTested(self.folder.id, final))
         return True
 

@@ -115,8 +115,7 @@ class Matrix(Plan):
         if trained > sources:
             parts.append(f"{(trained - sources) * count} references")
         if "zero_shot" in self.transfer.modes:
-            testing = self.spec.testing
-            parts.append(f"{len(self.pairs) * count} tests of {testing.final_count or testing.episodes:,} episodes")
+            parts.append(f"{len(self.pairs) * count} tests of {self.spec.testing.held_out_count:,} episodes")
         if self._tuned:
             tuned = next(iter(self._tuned.values()))
             parts.append(f"{len(self.pairs) * count} fine-tuned runs of {tuned.training.steps:,} steps")
@@ -274,10 +273,14 @@ class ZeroShotTask(FolderTask):
 
     def __post_init__(self) -> None:
         (source, target), testing = self.pair, self.matrix.spec.testing
-        run, episodes = self.matrix.sources[source][self.seed], testing.final_count or testing.episodes
+        run = self.matrix.sources[source][self.seed]
         _require_checkpoint(run)
         self.test = ZeroShotTest(
-            str(run.path.resolve()), CHECKPOINT, self.matrix.overrides[target], episodes, testing.final_seed
+            run=str(run.path.resolve()),
+            checkpoint=CHECKPOINT,
+            overrides=self.matrix.overrides[target],
+            episodes=testing.held_out_count,
+            seed=testing.final_seed,
         )
         self.folder = self.matrix.folder / "tests" / f"{_name(self.matrix.spec, source, target)}-s{self.seed}"
         if self._has_result():
@@ -328,7 +331,7 @@ def _require_checkpoint(folder: RunFolder) -> None:
 
 def measure_baselines(spec: Spec, path: Path) -> Baselines:
     """Success of random actions and of the expert, read from the file if it was measured before."""
-    episodes = min(spec.testing.final_count or spec.testing.episodes, BASELINE_EPISODES)
+    episodes = min(spec.testing.held_out_count, BASELINE_EPISODES)
     key = {"experiment": spec.hash(), "episodes": episodes}
     for row in read_lines(path).rows:
         if key.items() <= row.items() and (known := from_json(Baselines, row)) is not None:

@@ -72,15 +72,15 @@ class Budget:
 
     def wait(self, job: SuiteJob, found: RunFolder | None) -> None:
         """Queue a job, unless its run is finished. A job that has used up its share is stopped."""
-        state = None if found is None else found.state()
-        if found is None or state is None:
-            self._waiting.append(job)
-        elif state.state != "finished":
+        if found is not None:
+            state = found.state()
+            if state.state == "finished":
+                return
             job.used = state.total_seconds
-            if job.used < job.spec.training.steps * self._seconds_per_step:
-                self._waiting.append(job)
-            else:
+            if job.used >= job.spec.training.steps * self._seconds_per_step:
                 job.cut, job.summaries[job.spec.seeds[0]] = _cut_after(job.used), found.summary()
+                return
+        self._waiting.append(job)
 
     def begin(self, job: SuiteJob) -> None:
         """A run starts. It gets the share of its steps, and its part of the unused seconds."""

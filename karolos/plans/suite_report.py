@@ -119,7 +119,9 @@ def suite_report(plan: SuitePlan, beside: Path | None = None) -> SuiteReport:
     """
     suite, label = plan.suite, plan.label
     entries, untested, warnings = [], list[str](), defaultdict[str, list[str]](list)
-    other = None if beside is None else f"{beside.name}{'/' * (beside.name == label)}"
+    other = None if beside is None else beside.name
+    if other == label:
+        other += "/"  # two contenders need different labels
     for job in plan.found:
         spec = job.spec
         records = [RunFolder.open(job.summaries[seed].folder).record() for seed in spec.seeds if seed in job.summaries]

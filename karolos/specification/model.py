@@ -182,6 +182,11 @@ class TestingSettings(Settings):
         return self.episodes if self.final_episodes is None else self.final_episodes
 
     @property
+    def held_out_count(self) -> int:
+        """Number of episodes of other held-out tests: that of the final test, or of a test if there is no final one."""
+        return self.final_count or self.episodes
+
+    @property
     def final_seed(self) -> int:
         """Root of the seeds of the final test, whose episodes are held out."""
         return self.seed + FINAL_SEED_OFFSET

@@ -293,7 +293,7 @@ FIXED_SETTINGS = {
     "name": "the sweep names its trials",
 }
 """Settings that cannot be searched -> the reason."""
-MAX_COMBINATIONS = 200
+VALIDATED_COMBINATIONS = 200
 """Largest number of combinations, of the choices that a parameter depends on, with which it is validated."""
 
 
@@ -385,7 +385,7 @@ def _wrong_conditions(space: Node, sweep: Sweep) -> Iterator[Problem]:
 def _combinations(sweep: Sweep, key: str) -> Iterator[dict[str, Any]]:
     """The combinations of the choices that a parameter depends on, with which it is active."""
     choices = Sweep.model_construct(space={name: sweep.space[name] for name in _depends(sweep, key)})
-    for drawn in islice(choices.combinations(), MAX_COMBINATIONS):
+    for drawn in islice(choices.combinations(), VALIDATED_COMBINATIONS):
         if sweep.is_active(key, drawn):
             yield drawn
 

@@ -152,6 +152,7 @@ class Episodes:
         return failures
 
     def _counted(self, received: Received) -> Received:
+        """Add the answers and failures to the records of the episodes; returns the same."""
         self.failures += received.failures
         self._updates[received.environment] = IDLE
         reset = received.updates < 0
@@ -351,10 +352,9 @@ class Collector:
         for environments in failed:
             self._buffer.cut(environments)
         self._begin(np.unique(np.concatenate((*over, *failed))))
-        # An environment that has answered may have failed since.
-        self._ready = (
-            np.setdiff1d(np.concatenate(ready), np.concatenate(failed)) if failed else np.sort(np.concatenate(ready))
-        )
+        self._ready = np.sort(np.concatenate(ready))
+        if failed:  # an environment that has answered may have failed since
+            self._ready = np.setdiff1d(self._ready, np.concatenate(failed))
         return tuple(finished)
 
     def _begin(self, environments: np.ndarray) -> None:
