@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from numpy import int64
@@ -75,7 +75,7 @@ class ActorCriticSettings(OptimiserSettings):
     precision: Precision = Setting("auto", description=PRECISION_MEANS)
 
     @model_validator(mode="after")
-    def _settings_fit(self) -> Any:
+    def _settings_fit(self) -> Self:
         if self.cloning and not self.imitation:
             raise ValueError("cloning needs imitation above 0: this is the weight of the demonstrated actions")
         if self.per_joint and len(self.hidden) < 2:
@@ -342,7 +342,7 @@ class Quantiles(BaseSettings):
     )
 
     @model_validator(mode="after")
-    def _some_stay(self) -> Quantiles:
+    def _some_stay(self) -> Self:
         if self.drop >= self.quantiles:
             raise ValueError(f"drop {self.drop} leaves none of {self.quantiles} quantiles: give a smaller one")
         return self

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import torch
 from numpy import int64
@@ -58,7 +58,7 @@ class DQN(TorchAgent):
         )
 
         @model_validator(mode="after")
-        def _epsilon_falls(self) -> DQN.Settings:
+        def _epsilon_falls(self) -> Self:
             if self.epsilon_end > self.epsilon_start:
                 raise ValueError(f"epsilon_end {self.epsilon_end} is above epsilon_start {self.epsilon_start}")
             return self

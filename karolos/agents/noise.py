@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal, Self
 
 import numpy as np
 import torch
@@ -39,7 +39,7 @@ class NoiseSettings(BaseSettings):
     )
 
     @model_validator(mode="after")
-    def _each_has_its_own(self) -> Any:
+    def _each_has_its_own(self) -> Self:
         for name, kind in (("theta", "ornstein_uhlenbeck"), ("interval", "state_dependent")):
             if getattr(self, name) is not None and self.kind != kind:
                 raise ValueError(f"{name} goes with kind: {kind}, not with {self.kind}")

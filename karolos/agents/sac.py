@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Self
 
 import torch
 from pydantic import Field as Setting
@@ -44,7 +44,7 @@ class SAC(ActorCritic):
         random_actions: float = Setting(0.1, ge=0, le=1, description="share of uniformly random exploring actions")
 
         @model_validator(mode="after")
-        def _bounds_hold(self) -> SAC.Settings:
+        def _bounds_hold(self) -> Self:
             if self.entropy_in_target and self.clip_targets:
                 raise ValueError(
                     "values with entropy_in_target are not bounded by rewards: also set clip_targets: false"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import abstractmethod
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar, Self
 from zlib import crc32
 
 import numpy as np
@@ -69,7 +69,7 @@ class OptimiserSettings(AgentSettings):
     gradient_norm: float | None = Setting(None, gt=0, description="clip gradients to this norm; null: no clipping")
 
     @model_validator(mode="after")
-    def _schedule_is_whole(self) -> Any:
+    def _schedule_is_whole(self) -> Self:
         if (self.learning_rate_end is None) != (self.learning_rate_updates is None):
             raise ValueError("learning_rate_end and learning_rate_updates go together: give both or neither")
         return self

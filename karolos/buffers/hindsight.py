@@ -6,7 +6,7 @@ under the new goal; otherwise values diverge on tasks that end on success.
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Literal, Self
 
 import numpy as np
 from pydantic import Field as Setting
@@ -69,7 +69,7 @@ class Hindsight:
         )
 
         @model_validator(mode="after")
-        def _imitates_what_led_there(self) -> Any:
+        def _imitates_what_led_there(self) -> Self:
             if self.imitate and self.others_share:
                 raise ValueError("others_share gives goals that an action did not lead to; set imitate: false with it")
             return self

@@ -9,12 +9,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core import Array, FloatArray, Layout, Signature, State, Transitions
 from ..core.experience import SCALARS, transition_layout
 from ..errors import UsageError
 
-Slots = np.ndarray
+Slots = NDArray[np.int64]
 """Row numbers of the table: (n,) int64. Ring r holds the rows r * ring_size ... (r + 1) * ring_size - 1."""
 
 
@@ -89,7 +90,7 @@ class Storage:
         self.table[used] = table[used]
 
     @property
-    def filled(self) -> np.ndarray:
+    def filled(self) -> NDArray[np.int64]:
         """Transitions in each ring: (rings,)."""
         return np.minimum(self.written, self.ring_size)
 
@@ -153,7 +154,7 @@ class Storage:
             return None
         return np.asarray(slots >= self.environments * self.ring_size, np.float32)
 
-    def cut(self, rings: np.ndarray) -> None:
+    def cut(self, rings: NDArray[np.int64]) -> None:
         """End the running episodes of these rings; a ring without a running episode does not change."""
         for ring in rings[self.running[rings] > 0].tolist():
             self._end_episode(ring)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -54,18 +54,20 @@ def conditions(contender: Contender, tree: SeedTree) -> dict[str, Condition]:
     """
     tested: dict[str, dict[_Group, dict[int, _Tests]]] = {}
     for place, run in enumerate(contender.runs):
+        tests: Sequence[Evaluation] = ()
         with suppress(KarolosError):  # the folder is gone or damaged, and the index does not hold these tests
             tests = RunFolder.open(run.summary.folder).transfers().rows
-            policies = {test.checkpoint: test.sha256 for test in tests}
-            for test in tests:
-                setting, _, text = test.overrides[0].partition("=") if len(test.overrides) == 1 else ("", "", "")
-                value, own = _number(text), _number(dict(flatten(run.spec)).get(setting))
-                if value is None or test.own is None or not (test.has_success and test.own.has_success):
-                    continue
-                if not test.randomized and test.sha256 == policies[test.checkpoint]:
-                    groups = tested.setdefault(setting, {})
-                    of_run = groups.setdefault((str(test.checkpoint), test.seed, test.episodes), {})
-                    of_run.setdefault(place, {}).update({value: test} if own is None else {own: test.own, value: test})
+        policies = {test.checkpoint: test.sha256 for test in tests}
+        for test in tests:
+            setting, _, text = test.overrides[0].partition("=") if len(test.overrides) == 1 else ("", "", "")
+            value, own = _number(text), _number(dict(flatten(run.spec)).get(setting))
+            if value is None or test.own is None or not (test.has_success and test.own.has_success):
+                continue
+            if test.randomized or test.sha256 != policies[test.checkpoint]:
+                continue
+            groups = tested.setdefault(setting, {})
+            of_run = groups.setdefault((str(test.checkpoint), test.seed, test.episodes), {})
+            of_run.setdefault(place, {}).update({value: test} if own is None else {own: test.own, value: test})
     return {
         setting: _condition(contender, setting, groups, tree.child(setting))
         for setting, groups in sorted(tested.items())

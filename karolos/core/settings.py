@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, model_validator
 from pydantic import Field as Setting
@@ -46,7 +46,7 @@ class AgentSettings(Settings):
     )
 
     @model_validator(mode="after")
-    def _start_is_whole(self) -> Any:
+    def _start_is_whole(self) -> Self:
         if self.start_from is None and self.start_sha256 is not None:
             raise ValueError("start_sha256 needs start_from")
         return self

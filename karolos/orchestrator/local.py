@@ -7,7 +7,7 @@ import math
 import operator
 import weakref
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,7 +66,7 @@ class Local(Orchestrator):
         environments: int = Setting(default=8, ge=1, le=MAX_ENVIRONMENTS, description="environments per thread")
 
         @model_validator(mode="after")
-        def _not_too_many(self) -> Local.Settings:
+        def _not_too_many(self) -> Self:
             if self.size > MAX_ENVIRONMENTS:
                 raise ValueError(
                     f"processes x threads x environments are {self.size} environments; {MAX_ENVIRONMENTS} are allowed"

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import AfterValidator, PrivateAttr, StringConstraints, model_validator
 from pydantic import Field as Setting
@@ -92,7 +92,7 @@ class TrainingSettings(Settings):
     )
 
     @model_validator(mode="after")
-    def _batch_goes_with_async(self) -> Any:
+    def _batch_goes_with_async(self) -> Self:
         if self.minimum_batch is not None and self.mode != "async":
             raise ValueError(f"minimum_batch requires mode: async, not {self.mode}")
         return self
@@ -143,7 +143,7 @@ class DemonstrationSettings(Settings):
     )
 
     @model_validator(mode="after")
-    def _columns_are_of_a_file(self) -> Any:
+    def _columns_are_of_a_file(self) -> Self:
         if self.columns and self.file is None:
             raise ValueError("columns needs a file")
         return self

@@ -103,11 +103,7 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
         entry = tree["specs"][place]
         above = [*_trees(tree.get("overrides")), *_trees(entry.get("overrides"))]
         try:
-            given = entry["spec"]  # relative to the suite's file, or a shipped one
-            near = given.value if given.value.startswith(SHIPPED) else relative_name(given.at.source, given.value)
-            file = str(near if os.path.isfile(find_spec(near)[0]) else given.value)
-            if wrong := unreadable(find_spec(file)[0]):
-                raise given.at.refusal(f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
+            file = _file_of(entry["spec"])
             spec = plain = load_spec(file, (), above)
             try:
                 spec = _overridden(file, overrides, above) if overrides else plain
@@ -124,6 +120,15 @@ def load_suite(path: str | Path, overrides: Iterable[str] = ()) -> Suite:
         problems |= {str(problem): problem for each in refused.values() for problem in each.problems}  # of all: once
         raise SpecError(list(problems.values()))
     return Suite(found.name, tuple(specs.values()), found.measures, written, refused)
+
+
+def _file_of(given: Node) -> str:
+    """The file of a spec, named relative to the suite's file or as a shipped one. Raises SpecError if there is none."""
+    near = given.value if given.value.startswith(SHIPPED) else relative_name(given.at.source, given.value)
+    file = str(near if os.path.isfile(find_spec(near)[0]) else given.value)
+    if wrong := unreadable(find_spec(file)[0]):
+        raise given.at.refusal(f"{shown(given.value)}: {wrong[0]}", wrong[1], setting="specs")
+    return file
 
 
 def _overridden(file: str, overrides: list[str], above: list[Node]) -> Spec:

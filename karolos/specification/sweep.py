@@ -6,7 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from itertools import islice
-from typing import Annotated, Any, Literal, TypeAlias
+from typing import Annotated, Any, Literal, Self, TypeAlias
 
 from pydantic import (
     AfterValidator,
@@ -112,7 +112,7 @@ class SweepParameter(Settings):
     )
 
     @model_validator(mode="after")
-    def _one_range_or_choice(self) -> SweepParameter:
+    def _one_range_or_choice(self) -> Self:
         given = [name for name in ("float", "int", "choice") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(f"takes one of float, int and choice, not {' and '.join(given) or 'none'}")
@@ -234,7 +234,7 @@ class Sweep(Settings):
     final: FinalSettings | None = Setting(None, description="choose and report the best trial on new seeds; null: off")
 
     @model_validator(mode="after")
-    def _consistent(self) -> Sweep:
+    def _consistent(self) -> Self:
         if self.pruner is not None and len(self.objectives) > 1:
             raise ValueError("the pruner compares one objective, and there are several; remove it")
         if self.sampler == "grid":
@@ -464,7 +464,7 @@ class Transfer(Settings):
     threshold: float = Setting(0.95, gt=0, le=1, description="success ratio that defines the time to threshold")
 
     @model_validator(mode="after")
-    def _consistent(self) -> Any:
+    def _consistent(self) -> Self:
         if (self.robots is None) == (self.variants is None):
             raise ValueError("takes one of robots and variants")
         for name in self.robots or ():
@@ -487,7 +487,7 @@ class Transfer(Settings):
         return self
 
     @model_validator(mode="after")
-    def _knows_sources(self) -> Any:
+    def _knows_sources(self) -> Self:
         for name in (*(self.sources or ()), *self.references):
             if name not in self.settings:
                 raise ValueError(f"{name} is not a variant; variants are {', '.join(self.settings)}")

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ..core import (
     Agent,
@@ -82,7 +83,7 @@ class Episodes:
         self.failures: tuple[Failure, ...] = ()
         """Failures since the caller last emptied this list, including those of episodes that were played again."""
 
-    def begin(self, environments: np.ndarray) -> None:
+    def begin(self, environments: NDArray[np.int64]) -> None:
         """Reset these environments, each with the seed of its next episode. Does not wait."""
         self._index[environments] += 1
         self._seed[environments] = [
@@ -91,14 +92,14 @@ class Episodes:
         ]
         self._reset(environments)
 
-    def _reset(self, environments: np.ndarray) -> None:
+    def _reset(self, environments: NDArray[np.int64]) -> None:
         """Reset these environments with their current seeds."""
         self._steps[environments] = 0
         self._total_reward[environments] = 0
         self._updates[environments] = -1
         self._orchestrator.reset(environments, self._seed[environments].tolist())
 
-    def send(self, environments: np.ndarray, actions: FloatArray, *, updates: int = 0) -> None:
+    def send(self, environments: NDArray[np.int64], actions: FloatArray, *, updates: int = 0) -> None:
         """Send each environment its row of `actions`, chosen after this many gradient updates. Does not wait."""
         self._actions[environments, self._steps[environments]] = actions
         self._updates[environments] = updates
@@ -119,7 +120,9 @@ class Episodes:
         environments = np.union1d(received.environment, answered)
         return Received(environments, latest.select(environments), updates[environments], failures)
 
-    def _replay_lost(self, failures: tuple[Failure, ...], steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
+    def _replay_lost(
+        self, failures: tuple[Failure, ...], steps: NDArray[np.int64], latest: Step
+    ) -> tuple[Failure, ...]:
         """Play the episodes that these failures lost with a worker again; returns the failures that remain.
 
         Args:
@@ -135,7 +138,9 @@ class Episodes:
             failures = remaining + self._play_again(lost, steps, latest)
         return failures
 
-    def _play_again(self, environments: np.ndarray, steps: np.ndarray, latest: Step) -> tuple[Failure, ...]:
+    def _play_again(
+        self, environments: NDArray[np.int64], steps: NDArray[np.int64], latest: Step
+    ) -> tuple[Failure, ...]:
         """Play the episodes of these environments from their seeds and actions; returns the failures.
 
         Arguments `steps` and `latest` are those of `_replay_lost`.
@@ -259,7 +264,7 @@ class Collector:
         """The agent's latest action for each environment."""
         self._received: list[Received] = []
         """Answers that are not stored yet."""
-        self._lags: list[np.ndarray] = []
+        self._lags: list[NDArray[np.int64]] = []
         self._warmup = seeds.child("warmup").generator()
         self._learning_since = 0 if self._warmed_up() else None
 
@@ -357,7 +362,7 @@ class Collector:
             self._ready = np.setdiff1d(self._ready, np.concatenate(failed))
         return tuple(finished)
 
-    def _begin(self, environments: np.ndarray) -> None:
+    def _begin(self, environments: NDArray[np.int64]) -> None:
         """Begin the next episode of these environments. Does not wait."""
         if environments.size:
             self._running.begin(environments)
@@ -372,7 +377,7 @@ class Collector:
     def _warmed_up(self) -> bool:
         return self._agent.on_policy or self.episodes >= self._warmup_episodes
 
-    def _store(self, environments: np.ndarray, step: Step) -> None:
+    def _store(self, environments: NDArray[np.int64], step: Step) -> None:
         """Store the transitions of these environments from their latest step to this one, unless they diverged."""
         valid, latest = ~step.diverged, self._latest
         diverged = environments[step.diverged]

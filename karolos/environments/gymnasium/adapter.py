@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, Self
 
 import numpy as np
 from pydantic import Field as Setting
@@ -104,7 +104,7 @@ class Gymnasium(Environment):
             return name
 
         @model_validator(mode="after")
-        def _ordered(self) -> Gymnasium.Settings:
+        def _ordered(self) -> Self:
             if "max_episode_steps" in self.kwargs:
                 raise ValueError("kwargs cannot have max_episode_steps; set max_steps instead")
             if self.reward_range and self.reward_range[0] > self.reward_range[1]:
