@@ -85,11 +85,11 @@ class Executor:
             wanted = self._goal(told if goal is None else goal)
             gc.disable()  # a garbage collection takes longer than a cycle
             self._run(outcome, wanted, move, steps or self.bundle.contract["episode"]["steps"])
-            outcome.success = self.driver.outcome()
         finally:
             self.driver.stop()
             if collecting:
                 gc.enable()
+        outcome.success = self.driver.outcome()  # cameras may answer late: the robot stands still by then
         return outcome
 
     def _goal(self, given: list[float] | None) -> Array:

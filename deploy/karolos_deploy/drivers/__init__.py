@@ -94,7 +94,7 @@ class Driver:
         """Bring the robot to a controlled stop. Must not raise."""
 
     def outcome(self) -> bool | None:
-        """Whether the episode ends in success; None: the driver does not know."""
+        """Whether the episode ended in success, asked after `stop`; None: the driver does not know."""
         return None
 
     def close(self) -> None:
