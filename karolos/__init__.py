@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from importlib import import_module
-from typing import TYPE_CHECKING, Any
 
+TYPE_CHECKING = False
+"""As in `typing`, whose import takes longer than all of this. Until it is over, Ctrl-C gives a traceback."""
 if TYPE_CHECKING:
+    from typing import Any
+
     from .evaluation.policies import load_run as load
     from .evaluation.policies import make
     from .launchers.experiment import Experiment

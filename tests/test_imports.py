@@ -2,8 +2,11 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 from support.run_samples import add_run
+
+import karolos
 
 DRAWN = "alembic gymnasium imageio matplotlib mujoco multiprocessing.connection onnx optuna pybullet ray scipy"
 DRAWN += " sqlalchemy.dialects.postgresql tensorboard torch"
@@ -63,3 +66,10 @@ def test_a_module_imports_only_what_it_needs():
     for code, heavy in MODULES:
         lines += [code, f"print([name for name in {heavy.split()} if name in sys.modules])"]
     assert process("\n".join(lines)).stdout == "[]\n" * len(MODULES)
+
+
+def test_ctrl_c_is_handled_before_anything_large_is_imported():
+    code = "import sys; sys.path.append(sys.argv[1]); import karolos.experiment.interrupt; print(*sys.modules)"
+    command = [sys.executable, "-I", "-S", "-c", code, str(Path(karolos.__file__).parents[1])]
+    modules = subprocess.run(command, capture_output=True, text=True, check=True).stdout.split()
+    assert not {"typing", "threading", "contextlib", "pathlib", "re"}.intersection(modules)

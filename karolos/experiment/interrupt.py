@@ -1,18 +1,22 @@
-"""Handles Ctrl-C while a command imports its libraries, and SIGTERM if nothing else does. Imports almost nothing."""
+"""Handles Ctrl-C while a command imports its libraries, and SIGTERM if nothing else does.
+
+It and the packages above it import almost nothing: until it is imported, Ctrl-C prints a traceback.
+"""
 
 import os
 import signal
-import threading
 
 
 class BriefInterrupt:
     """Inside the block Ctrl-C gives one line and exit code 130. An import could turn it into another error."""
 
     def __enter__(self) -> None:
-        usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it
-        self._handles = usual and threading.current_thread() is threading.main_thread()
+        self._handles = signal.getsignal(signal.SIGINT) is signal.default_int_handler  # nohup ignores it
         if self._handles:
-            signal.signal(signal.SIGINT, end_at_once)
+            try:
+                signal.signal(signal.SIGINT, end_at_once)
+            except ValueError:  # this is not the main thread, which alone gets signals
+                self._handles = False
 
     def __exit__(self, *_: object) -> None:
         if self._handles:
