@@ -50,7 +50,8 @@ class RobotTask(Environment):
     Measures: time to success, distance and angle to the goal if its rule has them, then the robot's and the task's.
 
     Raises:
-        PluginError: robot and task are incompatible, or both declare a measure of one name.
+        PluginError: robot and task are incompatible, or both declare a measure of one name; while it runs, the task
+            observes what is not finite, or gives an `extra_reward` beyond its range.
         UsageError: `omit` names an unknown field, or the engine is not installed.
     """
 
@@ -134,6 +135,7 @@ class RobotTask(Environment):
             goal_rule=task.goal_rule,
             measures=self._measures(),
         )
+        self._has_extra_reward = type(task).extra_reward is not Task.extra_reward
         self.randomize({})
         self._name = f"{type(robot).__name__}{type(task).__name__}"
         self._shape = (robot.action.size,)
@@ -247,10 +249,19 @@ class RobotTask(Environment):
             self._reached = self._steps
         if terminated or truncated:
             self._steps = self.signature.max_steps
-        if self.signature.extra_reward != (0.0, 0.0):
-            reward += self.task.extra_reward()
+        if self._has_extra_reward:
+            reward += self._extra_reward()
         self._last = Step(observation, achieved, goal, reward, terminated, truncated, success)
         return self._last
+
+    def _extra_reward(self) -> float:
+        """The part of the reward that does not depend on the goal. Raises PluginError if it leaves its range."""
+        extra, (low, high) = float(self.task.extra_reward()), self.signature.extra_reward
+        if not low - 1e-4 <= extra <= high + 1e-4:
+            what = f"extra_reward gives {extra:g}, outside extra_reward_range, which is ({low:g}, {high:g})"
+            hint = "declare the whole range, because learned values and hindsight are limited to it"
+            raise PluginError(what, where=type(self.task).__name__, hint=hint)
+        return extra
 
     def _checked(self, action: Array) -> list[float]:
         """The robot's action."""

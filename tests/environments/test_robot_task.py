@@ -16,6 +16,7 @@ from karolos.plugins.inspection import pair
 from karolos.registry import names
 from karolos.simulation.picture import view_of
 from karolos.specification.parts import Part, Recipe
+from karolos.tasks.push import Push
 
 
 def environment(draws: dict[str, Part] | None = None, **arm: object) -> RobotTask:
@@ -177,6 +178,19 @@ def test_a_task_that_observes_what_is_not_finite_is_told_which(method, name, mon
     monkeypatch.setattr(made.task, method, values.tolist)
     with pytest.raises(PluginError, match=rf"^Insert: observes {name}, which is not finite"):
         made.reset(0)
+
+
+@pytest.mark.parametrize(("declared", "given"), [((0.0, 0.0), -0.5), ((-0.2, 0.0), -0.5), ((-0.2, 0.0), np.nan)])
+def test_a_task_whose_extra_reward_leaves_its_range_is_told_so(declared, given, monkeypatch):
+    monkeypatch.setattr(Push, "extra_reward_range", declared)
+    monkeypatch.setattr(Push, "extra_reward", lambda _: given)
+    made = made_of("push")
+    made.reset(0)
+    with pytest.raises(PluginError, match=rf"^Push: extra_reward gives {given}, outside extra_reward_range"):
+        made.step(np.zeros(made.signature.action.size, np.float32))
+    monkeypatch.setattr(Push, "extra_reward", lambda _: declared[0])
+    made.reset(0)
+    assert made.step(np.zeros(made.signature.action.size, np.float32)).reward == np.float32(declared[0]) - 1
 
 
 def test_a_task_may_observe_an_array(monkeypatch):
