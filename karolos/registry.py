@@ -216,15 +216,21 @@ def blaming() -> Iterator[None]:
     except KarolosError:
         raise
     except Exception as error:  # a plugin may raise anything
-        theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
-        for name, place in _frames(error):
-            found = [entry for entry in theirs if entry.package == _package(name)]
-            if found:  # if a package has several, one in use, with the most similar module and class
-                found = [entry for entry in found if entry in _in_use] or found
-                entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
-                where = f"{place}: {entry.who}"
-                raise PluginError(_text(error), where=where, plugin=(entry.kind, entry.name)) from None
+        if (theirs := blamed(error)) is not None:
+            raise theirs from None
         raise
+
+
+def blamed(error: BaseException) -> PluginError | None:
+    """The error as that of a third party's plugin, at its innermost line. None if it passed through no such plugin."""
+    theirs = [entry for entry in _installed() if entry.distribution != "karolos"]
+    for name, place in _frames(error):
+        found = [entry for entry in theirs if entry.package == _package(name)]
+        if found:  # if a package has several, one in use, with the most similar module and class
+            found = [entry for entry in found if entry in _in_use] or found
+            entry = max(found, key=lambda one: len(os.path.commonprefix([f"{one.target}.", name])))  # noqa: RUF071
+            return PluginError(_text(error), where=f"{place}: {entry.who}", plugin=(entry.kind, entry.name))
+    return None
 
 
 def _frames(error: BaseException) -> list[tuple[str, str]]:

@@ -18,6 +18,7 @@ from ..records import RunFolder, checkpoint
 from ..records.checkpoint import CheckpointError
 from ..records.evaluation import Evaluation
 from ..records.run_records import RunSummary
+from ..registry import blamed
 from ..specification import Spec, spec_from_dict
 from ..specification.model import DemonstrationSettings
 from ..training.assembly import learner, make_agent, make_buffer, make_orchestrator, use_threads
@@ -79,7 +80,7 @@ class Run:
             trace = error.traceback if isinstance(error, WorkerError) else None
             ending = Ending("failed", error=str(error), traceback=trace)
         except (Exception, SystemExit) as error:  # the boundary: a fault of karolos or a plugin is recorded
-            ending = Ending("failed", error=described(error), traceback=traceback.format_exc())
+            ending = Ending("failed", error=str(blamed(error) or described(error)), traceback=traceback.format_exc())
         self._end(ending)
         return self.folder.summary()
 

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from support.commands import karolos, refused, rows
+from support.toy_runs import TOY, run_of, toy
 
 from karolos import registry
 from karolos.errors import UsageError
@@ -187,6 +188,23 @@ def test_a_function_that_several_plugins_share_is_blamed_on_the_one_in_use(insta
     module.write_text(module.read_text().replace("self.gaol", "shared(self)") + "def shared(task): return task.gaol\n")
     out = karolos("check", spec, "orchestrator.processes=0", code=3).out
     assert out.startswith(f"{spec}:2:7: task.name: {module}:10: task 'broken_achieved' of shaky 1.0: AttributeError")
+
+
+@pytest.mark.parametrize(
+    ("kind", "parent", "method"),
+    [("agents", "SAC", "act"), ("agents", "SAC", "learn"), ("buffers", "Uniform", "sample")],
+)
+def test_a_run_names_the_third_partys_agent_or_buffer_that_fails(kind, parent, method, tmp_path, monkeypatch):
+    module = f"failing_{method}"
+    source = f"from karolos.{kind}.{parent.lower()} import {parent}\n\nclass Mine({parent}):\n"
+    (tmp_path / f"{module}.py").write_text(f"{source}    def {method}(self, *_, **__):\n        return self.gaol\n")
+    before, mine = registry._installed(), PluginEntry(kind, "mine", f"{module}:Mine", "shaky", "1.0")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setattr(registry, "_installed", lambda: (*before, mine))
+    part = kind.removesuffix("s")
+    state = run_of(toy(**{part: {**TOY[part], "name": "mine"}}), tmp_path).state()
+    place = f"{tmp_path / module}.py:5: {part} 'mine' of shaky 1.0"
+    assert state.error == f"{place}: AttributeError: 'Mine' object has no attribute 'gaol'"
 
 
 def test_an_error_of_karolos_itself_is_blamed_on_no_plugin(installed):
