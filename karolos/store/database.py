@@ -209,6 +209,8 @@ def explained(url: URL) -> Iterator[None]:
             kind = sqlite3.SQLITE_BUSY
         default = (f"the database refuses ({_first_line(error)})", "check that the server is up and the URL is right")
         what, hint = _SQLITE_ERRORS.get(kind, default)
+        if (path := _sqlite_file(url)) is not None and path.is_dir():
+            what, hint = "a folder is in the way of the database's file", "move it away, or name a file with --database"
         raise StoreError(what, where=_without_secrets(url), hint=hint) from error
 
 
@@ -235,7 +237,14 @@ def _parse_url(text: str) -> URL:
 
 def _without_secrets(url: URL) -> str:
     """The URL without password and without the values of its query."""
+    if (path := _sqlite_file(url)) is not None and not url.query:
+        return sqlite_url(path)
     return url.set(query=dict.fromkeys(url.query, "***")).render_as_string(hide_password=True)
+
+
+def sqlite_url(path: Path) -> str:
+    """The URL of a SQLite file, whose name may have any characters."""
+    return f"sqlite:///{path}".replace("%", "%25").replace("?", "%3F")
 
 
 def _sqlite_file(url: URL) -> Path | None:

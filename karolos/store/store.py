@@ -19,7 +19,7 @@ from ..records.evaluation import COUNTS, Evaluation
 from ..records.run_records import STATES, UNFINISHED, RunRecord, RunSummary, flatten, without_seeds
 from ..records.sweep_records import is_trial
 from . import filters
-from .database import Database
+from .database import Database, sqlite_url
 from .filters import Filter
 from .tables import (
     RUNS,
@@ -52,7 +52,7 @@ class Store(Database):
     @staticmethod
     def default_url(runs: str | Path) -> str:
         """URL of the database in a runs folder."""
-        return f"sqlite:///{Path(runs) / FILE_NAME}"
+        return sqlite_url(Path(runs) / FILE_NAME)
 
     def __enter__(self) -> Store:
         return self

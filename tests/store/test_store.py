@@ -1,5 +1,6 @@
 """What the index keeps, what it finds, how it is asked, and what it refuses."""
 
+import os
 import resource
 import shutil
 import sqlite3
@@ -437,9 +438,17 @@ def test_database_removed_while_a_run_goes_on_is_told_and_not_created_again(stor
     assert not Path(store.url.database or "").exists()
 
 
+@pytest.mark.parametrize("name", ["50%25", "Läb #1 %20"])
+def test_database_lies_in_its_runs_folder_whatever_its_name_is(name, tmp_path):
+    with Store(Store.default_url(tmp_path / name)) as store:
+        assert store.name == Store.default_url(tmp_path / name)
+    assert [path.relative_to(tmp_path) for path in tmp_path.rglob("*.sqlite")] == [Path(name, "karolos.sqlite")]
+    assert Store.default_url("which?a=b").endswith("which%3Fa=b/karolos.sqlite".replace("/", os.sep))
+
+
 def test_folder_or_file_in_the_way_of_the_database_is_told(tmp_path):
     (tmp_path / "karolos.sqlite").mkdir()
-    with pytest.raises(StoreError, match="cannot be opened"):
+    with pytest.raises(StoreError, match="a folder is in the way of the database's file; move it away"):
         Store(Store.default_url(tmp_path))
     (tmp_path / "runs").write_text("")
     with pytest.raises(MachineError, match="a file is in the way of a folder"):
