@@ -174,7 +174,7 @@ class Matrix(Plan):
                         setting="transfer.modes",
                         hint="leave out fine_tune",
                     )
-                check_agents(tuned, self.variants[label])
+                _check_tuned(tuned, self.variants[label])
 
     @override
     def execute(self) -> bool:
@@ -344,3 +344,12 @@ def measure_baselines(spec: Spec, path: Path) -> Baselines:
         ceiling = None
     append_lines(path, [key | {"floor": floor.encode(), "ceiling": ceiling and ceiling.encode()}])
     return Baselines(floor, ceiling)
+
+
+def _check_tuned(tuned: Spec, source: Spec) -> None:
+    """As `check_agents`, told at the matrix's own setting: its user names no run."""
+    try:
+        check_agents(tuned, source)
+    except UsageError as error:
+        hint = "networks are those of the source: leave these settings out of fine_tune"
+        raise UsageError(error.what, setting="transfer.fine_tune", hint=hint) from None

@@ -11,7 +11,8 @@ from time import monotonic
 
 from typing_extensions import override
 
-from ..errors import PluginError, UsageError
+from ..errors import PluginError, UsageError, alternatives
+from ..evaluation.policies import signature_of
 from ..experiment.check import check_parts
 from ..experiment.events import RunEvent, RunStarted
 from ..experiment.start_from import pinned
@@ -125,7 +126,7 @@ def fitted(suite: Suite, jobs: int = 1) -> Suite:
     """The suite without settings that an override's agent cannot use, and without specs that cannot run.
 
     Raises:
-        KarolosError: no spec can run, or one cannot without overrides, either.
+        KarolosError: no spec can run, one cannot without overrides, either, or none has a measure that is to be shown.
     """
     specs, refused = list[Spec](), dict(suite.refused)
     for spec in suite.specs:
@@ -135,6 +136,11 @@ def fitted(suite: Suite, jobs: int = 1) -> Suite:
             refused[spec.name] = error
             if suite.written[spec.name] == spec or len(refused) == len(suite.written):
                 raise
+    if suite.measures and not refused:
+        known = dict.fromkeys(one.name for spec in specs for one in signature_of(spec).measures)
+        if unknown := [name for name in suite.measures if name not in known]:
+            what, hint = f"no spec has the measure {unknown[0]!r}", alternatives(unknown[0], known)
+            raise UsageError(what, where=suite.name, setting="measures", hint=hint)
     return replace(suite, specs=tuple(specs), refused=refused)
 
 

@@ -260,6 +260,8 @@ def _pattern_hint(path: Path) -> str:
         return "give `name`: at most 64 letters, digits, dots, underscores and hyphens, the first a letter or digit"
     if len(path) == 2 and path[0] == RANDOMIZATION:
         return "write robot.<parameter> or task.<parameter>, e.g. task.gravity"
+    if path[:2] == (TRANSFER, "variants"):
+        return "a variant has at most 24 letters, digits, dots, underscores and hyphens, the first a letter or digit"
     return "see `karolos plugins show` for what is"
 
 

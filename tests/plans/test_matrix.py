@@ -152,6 +152,10 @@ def test_a_source_without_its_checkpoint_is_named_before_anything_runs(undisturb
             ["transfer.variants.slow.agent.discount=0.5"],
             ["variants.slow.agent.discount: a variant cannot change agent.discount, only robot, task"],
         ),
+        (
+            ["transfer.variants.a/b={environment.speed: 0.2}"],
+            ["'a/b' is not allowed; a variant has at most 24 letters"],
+        ),
         (["transfer.sources=[fats]"], ["fats is not a variant; variants are fast, slow"]),
         (["transfer.sources=[]"], ["needs a source"]),
         (["transfer.references=[slow]", "transfer.modes=[zero_shot, fine_tune]"], ["references that no mode uses"]),
@@ -181,7 +185,7 @@ def test_settings_that_are_misspelt_or_that_transfers_do_not_change_are_shown_wh
     ("overrides", "words"),
     [
         (["transfer.variants.slow.environment.dimensions=2"], "a policy of fast cannot act on slow: observation is"),
-        (["transfer.fine_tune.agent.hidden=[8]"], "networks differ: agent.hidden is [8] here"),
+        (["transfer.fine_tune.agent.hidden=[8]"], "transfer.fine_tune: the run's networks differ: agent.hidden is [8]"),
         (["name=" + 56 * "n"], "which is longer than 64 characters"),
         (["transfer.variants.slow={environment.max_steps: 9, environment.speed: 0.15}"], "give every variant the same"),
         (["transfer=null"], "has no transfer"),

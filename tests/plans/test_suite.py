@@ -19,7 +19,7 @@ from support.transfer_samples import LINE
 
 from karolos.comparison import compare
 from karolos.comparison.scores import reaching
-from karolos.errors import KarolosError, SpecError
+from karolos.errors import KarolosError, SpecError, UsageError
 from karolos.experiment.events import RunStarted
 from karolos.launchers.runs import Home
 from karolos.plans import suite as training
@@ -54,6 +54,14 @@ def trained(monkeypatch: pytest.MonkeyPatch, *options: str) -> tuple[list[dict[s
     code, out, err = call(app, *COMMAND, *options)
     assert code == 0, err
     return [json.loads(row) for row in out.splitlines()], [path.name.partition("-")[0] for path in launcher.started]
+
+
+def test_a_measure_that_no_spec_has_is_refused_before_anything_runs(folder):
+    Path("mine.yaml").write_text(yaml.safe_dump({**SUITE, "measures": ["final_distanse"]}))
+    with pytest.raises(
+        UsageError, match=r"mine: measures: no spec has the measure .*; did you mean 'final_distance'\?"
+    ):
+        training.fitted(load_suite("mine.yaml"))
 
 
 def folders(runs: Path) -> dict[str, RunFolder]:
