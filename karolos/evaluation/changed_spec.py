@@ -72,7 +72,7 @@ def changed_spec(saved: Spec, overrides: Sequence[str], *, trained: Signature, r
             raise UsageError(
                 "the policy was trained with other observations, actions or goals: " + "; ".join(differences),
                 setting=[*changed, "environment"][0],
-                hint=SAME_LAYOUTS,
+                hint=SAME_LAYOUTS if saved.robot else "the environment of a test has the same layouts as in training",
             )
         timed = any(_key(text) in ("task", "task.max_steps") for text in overrides)
         return spec if timed else _with_time(spec, environment)

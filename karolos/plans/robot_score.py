@@ -128,7 +128,9 @@ def refused(run: Path, episodes: int, error: KarolosError) -> PolicyScore:
     """The score of a policy on a robot that does not fit its task, or that cannot be used at all."""
     task = part_name(RunFolder.open(run).spec(), "task") or ""
     # The overrides that name the robot are no news, the setting that does not fit is.
-    what = str(error) if error.setting is None else f"{error.setting}: {error.what}"
+    what = str(error)
+    if error.setting is not None:
+        what = f"{error.setting}: {'; '.join(filter(None, (error.what, error.hint)))}"
     return PolicyScore(run.name, task, episodes, None, refused=" ".join(what.splitlines()))
 
 

@@ -153,9 +153,12 @@ class Arm:
 
     def prepare(self, needs: TaskNeeds) -> None:
         if needs.gripper and self.gripper is None:
-            hint = "mount one (robot.gripper=robotiq_2f85), or " * (self.model.flange is not None)
-            hint += "choose a task that needs no gripper"
-            raise PluginError("this robot has no gripper", where=type(self).__name__, hint=hint)
+            what, hint = "this robot has no gripper", "choose a task that needs no gripper"
+            if self.model.flange is not None:
+                raise UsageError(
+                    what, setting="robot.gripper", hint=f"mount one (robot.gripper=robotiq_2f85), or {hint}"
+                )
+            raise PluginError(what, where=type(self).__name__, hint=hint)
         if self.settings.finger_opening and needs.gripper:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")

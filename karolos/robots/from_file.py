@@ -77,9 +77,9 @@ class FromFile(Arm):
             if found.overload:
                 hint = "compare the data sheet, or mount a lighter gripper"
                 raise PluginError(found.overload, where=settings.file, hint=hint)
-        except PluginError as error:  # otherwise the task would be blamed
+        except (PluginError, UsageError) as error:  # otherwise the task would be blamed
             what = ": ".join(filter(None, (error.where, error.what)))
-            raise PluginError(what, setting="robot.file", hint=error.hint) from None
+            raise type(error)(what, setting=error.setting or "robot.file", hint=error.hint) from None
         return found.model
 
 
@@ -130,11 +130,11 @@ def _cached(path: Path, key: str, gripper: str | None, known: Known, made: _Made
     used, notes = _as_urdf(path, made, place)
     try:
         found = propose(used, gripper, known)
-    except PluginError as error:  # the user knows the file, not the copy
+    except (PluginError, UsageError) as error:  # the user knows the file, not the copy
         lines = r"(:\d+)?" if used != path else ""  # those of the copy
         where = error.where and re.sub(re.escape(str(used)) + lines, lambda _: str(path), error.where)
         hint = CHECK if made and not made.repair and "<limit>" in str(error.hint) else error.hint  # MJCF has none
-        raise PluginError(error.what, where=where, hint=hint) from None
+        raise type(error)(error.what, where=where, setting=error.setting, hint=hint) from None
     found = replace(found, notes=(*notes, *found.notes))
     if place is not None:
         with suppress(OSError, MachineError):  # a folder that cannot be written

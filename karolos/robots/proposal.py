@@ -245,7 +245,7 @@ def _read(
     loose = urdf.load(path, strict=False)
     for name in (known.tool, known.flange):
         if name is not None and name not in loose.carriers:
-            raise PluginError(f"there is no link {name!r}", where=str(path), hint=f"links: {', '.join(loose.carriers)}")
+            raise UsageError(f"there is no link {name!r}", where=str(path), hint=f"links: {', '.join(loose.carriers)}")
     arm = _arm(loose, path, known.tool)
     beyond = _hand_joints(path, arm[-1].child)
     without = tuple(beyond) if cut else ()

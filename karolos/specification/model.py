@@ -383,7 +383,10 @@ class Spec(Settings):
             return place
         changed = {origin for key, origin in self._origins.items() if key.startswith(TOGETHER)}  # may be contradicted
         overrides = sorted(origin for origin in changed if origin.startswith("override "))
-        return f"{place} with {' and '.join(overrides)}" if overrides else place
+        changes = " and ".join(overrides)
+        if place == "dict" and changes:  # a test of a run, whose spec is in no file
+            return changes
+        return f"{place} with {changes}" if changes else place
 
     def __eq__(self, other: object) -> bool:
         return self.dump() == other.dump() if isinstance(other, Spec) else NotImplemented

@@ -21,7 +21,7 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from urllib.parse import unquote
 
 from .. import system
-from ..errors import KarolosError, MachineError, UsageError
+from ..errors import KarolosError, MachineError, UsageError, closest
 
 SPECS = next(path for up in (1, 2) if (path := Path(__file__).parents[up] / "specs").is_dir())
 """Folder of the shipped specs, in the installed package or in a checkout."""
@@ -131,8 +131,19 @@ def file_of(name: str | Path) -> Path:
 
 
 def install_hint(name: str) -> str | None:
-    """A hint how to install the file of a name installed:PACKAGE/PATH; None for a path."""
-    return f"pip install {name.removeprefix(INSTALLED).partition('/')[0]}" if name.startswith(INSTALLED) else None
+    """A hint how to get the file of a name installed:PACKAGE/PATH that does not exist; None for a path."""
+    from importlib import metadata  # noqa: PLC0415  (see `installed_file`)
+
+    if not name.startswith(INSTALLED):
+        return None
+    package = name.removeprefix(INSTALLED).partition("/")[0]
+    try:
+        files = metadata.files(package) or []
+    except (metadata.PackageNotFoundError, ValueError):
+        return f"pip install {package}"
+    ends = sorted({one.name for one in files if one.suffix.lower() in (".urdf", ".xml", ".mjcf", ".xacro")})
+    match = closest(name.rpartition("/")[2], ends)
+    return f"{package} is installed, but has no such file{f'; it has {match}' if match else ''}"
 
 
 def fingerprint(path: Path, unread: list[str] | None = None, *, follow: bool = True) -> str | None:

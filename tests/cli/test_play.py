@@ -10,6 +10,7 @@ from karolos_cli.policy import play
 from support.commands import Terminal, karolos, refused
 from support.toy_runs import run_of, toy
 
+from karolos import robots
 from karolos.errors import MachineError
 from karolos.records import RunFolder
 from karolos.report.video import with_caption, write_video
@@ -157,6 +158,10 @@ def test_a_policy_is_played_under_changed_settings(tmp_path, monkeypatch):
         ("robot.control=joint", "the policy was trained with other observations, actions or goals"),
     ):
         assert told in refused("play", "panda_reach", wrong, *FILM)
+    ur5_file = Path(robots.__file__).with_name("urdf") / "ur5.urdf"
+    own = ["robot.name=urdf", f"robot.file={ur5_file}", "robot.gripper=null"]
+    assert "robot.gripper: this robot has no gripper; mount one" in refused("play", "panda_pick", *own, *FILM)
+    assert refused("play", "panda_reach", "task=insert", *FILM).startswith("override task=insert: robot.control: ")
 
 
 def test_failures_alone_are_played_and_called_by_their_numbers(tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 from support.commands import refused
 from support.fourth_robot import TOOL, WIDTH, exported_arm
 
-from karolos.errors import PluginError
+from karolos.errors import PluginError, UsageError
 from karolos.plugins.starter import write_starter
 from karolos.robots import poses
 from karolos.robots.arm import Arm, ArmSettings
@@ -128,7 +128,7 @@ def test_of_two_arms_one_is_chosen_by_its_tool(path):
     found = propose(path, known=Known("left_tool0"))
     assert found.notes[1].startswith("arm: left_joint1, ")
     assert found.model.tool == (0, 0, TOOL)
-    with pytest.raises(PluginError, match="there is no link 'tool7'; links: world, base"):
+    with pytest.raises(UsageError, match="there is no link 'tool7'; links: world, base"):
         propose(path, known=Known("tool7"))
 
 

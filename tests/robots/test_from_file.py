@@ -132,9 +132,10 @@ def test_what_a_person_knows_is_not_assumed(arm):
             {"workspace": [[0.5, 0.1, 0.3], [0.3, -0.1, 0.1]]},
             "robot.workspace: no box from 0.500 .* lower corner",
         ),
+        ({"tool": "tool7"}, "robot.file: .*: there is no link 'tool7'; links: "),
     ],
 )
-def test_a_home_or_workspace_that_does_not_fit_is_refused_at_its_setting(arm, known, said):
+def test_a_home_workspace_or_tool_that_does_not_fit_is_refused_at_its_setting(arm, known, said):
     with pytest.raises(UsageError, match=said):
         robot_of(arm, **known)
 
@@ -271,6 +272,8 @@ def test_a_file_of_an_installed_package_is_found_by_the_end_of_its_name(tmp_path
     assert file_of(spec) == str(tmp_path / "share/arms/urdf/one.urdf")
     with pytest.raises(UsageError, match=r"there is no file installed:no-such-arms.*; pip install no-such-arms"):
         robot_of(Path("installed:no-such-arms/one.urdf"))
+    with pytest.raises(UsageError, match=r"; some-arms is installed, but has no such file; it has one\.urdf"):
+        robot_of(Path("installed:some-arms/onne.urdf"))
 
 
 @pytest.mark.parametrize(("gap", "apart"), [(0.006, True), (0.004, False), (-0.02, False)])
