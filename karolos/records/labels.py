@@ -51,7 +51,8 @@ def add_tags(folder: Path, tags: Iterable[str]) -> bool:
     for tag in new:
         if not _TAG.fullmatch(tag):
             raise UsageError(
-                f"{tag!r} is not a tag", hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them"
+                f"{tag[:LONGEST_TAG]!r}{'...' * (len(tag) > LONGEST_TAG)} is not a tag",
+                hint=f"1 to {LONGEST_TAG} characters on one line, without blanks around them",
             )
     return _change(folder, lambda old: Labels(tuple(sorted({*old.tags, *new})), old.note))
 

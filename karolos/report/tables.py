@@ -7,6 +7,7 @@ import io
 import json
 import math
 import re
+import shlex
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -228,7 +229,7 @@ def run_facts(
         "tags": ", ".join(run.tags) or None,
         "note": run.note,
         "checkpoints": None if checkpoints is None else ", ".join(points) or "none",
-        "command": " ".join(about.get("command") or ()) or None,
+        "command": shlex.join(about.get("command") or ()) or None,
         "git commit": (git and f"{git.get('commit', '')[:12]}{' with changes (code.diff)' if git.get('dirty') else ''}")
         or None,
         "versions": ", ".join(f"{name} {version}" for name, version in (about.get("versions") or {}).items()) or None,

@@ -15,6 +15,7 @@ from karolos.report.tables import (
     duration,
     evaluations_table,
     facts_table,
+    run_facts,
     runs_table,
     settings_table,
     success,
@@ -112,3 +113,8 @@ def test_nested_spec_becomes_key_paths():
 def test_negative_numbers_stay_numbers_in_a_spreadsheet_and_formulas_do_not():
     text = csv_text([{"a": [-1.5, 2.0], "b": [-3e-05], "c": "-x", "d": ["-1", "=2"], "e": -4.0}])
     assert text == "a,b,c,d,e\n-1.5; 2.0,-3e-05,'-x,'-1; =2,-4.0\n"
+
+
+def test_the_command_of_a_run_can_be_pasted():
+    about = {"command": ["karolos", "run", "my spec.yaml", "seeds=[0]"]}
+    assert run_facts(RUN, about)["command"] == "karolos run 'my spec.yaml' 'seeds=[0]'"
