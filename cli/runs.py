@@ -471,22 +471,34 @@ def import_runs(
 def push_runs(
     selectors: ManyRuns = None,
     to: Annotated[
-        str, typer.Option(metavar="TRACKER", envvar="KAROLOS_TRACKING", help="Tracker: mlflow, wandb or trackio.")
-    ] = "",
+        str | None,
+        typer.Option(
+            metavar="TRACKER",
+            envvar="KAROLOS_TRACKING",
+            help="Tracker: mlflow, wandb or trackio. Default: that of the run's spec.",
+        ),
+    ] = None,
     where: Where = None,
     runs: Runs = Path("runs"),
     database: Database = None,
     json: Json = False,
 ) -> None:
     """Send runs to a tracker: tests, settings and records. A run that the tracker has gets the missing parts."""
-    from karolos.experiment.tracking import push
+    from karolos.experiment.tracking import push, tracker_of
     from karolos.records import RunFolder
 
     store, found = select_runs(selectors or (), where, runs, database)
+    rows = []
     with store:
         for run in found:
-            push(to, RunFolder.open(run.folder))
-    print_rows([{"run": run.run, "tracker": to} for run in found], json=json, line="{run}")
+            folder = RunFolder.open(run.folder)
+            name = to or tracker_of(folder)
+            if name is None:
+                hint = "name one with --to: mlflow, wandb or trackio"
+                raise UsageError("its spec names no tracker", where=run.run, hint=hint)
+            push(name, folder)
+            rows.append({"run": run.run, "tracker": name})
+    print_rows(rows, json=json, line="{run}")
 
 
 def _test_row(test: Evaluation, *, near: bool = False) -> dict[str, Any]:

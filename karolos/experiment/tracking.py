@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,7 +16,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..errors import MachineError, UsageError, described, recorded
+from ..errors import KarolosError, MachineError, UsageError, described, recorded
 from ..records import RunFolder
 from ..records.evaluation import Evaluation
 from ..specification.model import TRACKERS
@@ -84,6 +85,12 @@ class Tracker(ABC):
         """The run is finished, stopped or failed."""
 
 
+def tracker_of(folder: RunFolder) -> str | None:
+    """The name of a run's tracker: that of its spec, or of all runs."""
+    name: str | None = (folder.read_spec() or {}).get("tracking") or os.environ.get(VARIABLE)
+    return name
+
+
 def open_tracker(name: str, folder: RunFolder) -> Tracker:
     """A tracker with all tests that the folder holds.
 
@@ -134,15 +141,18 @@ class Tracking:
         try:
             self._track(event)
         except Exception as error:  # the tracker's library or the network failed
-            self._runs.pop(event.run, None)
-            consequence = f"the run goes on; `karolos runs push {event.run}` sends it later"
-            self.listener(RunWarned(event.run, f"the tracker failed: {described(error)} ({consequence})"))
+            found = self._runs.pop(event.run, None)
+            path = Path(event.folder) if isinstance(event, RunStarted) else found and found[0].path
+            elsewhere = path is not None and path.resolve().parent != Path("runs").resolve()
+            place = f" --runs {shlex.quote(str(path.parent))}" if path is not None and elsewhere else ""
+            what = str(error) if isinstance(error, KarolosError) else described(error)
+            consequence = f"the run goes on; `karolos runs push {event.run}{place}` sends it later"
+            self.listener(RunWarned(event.run, f"the tracker failed: {what} ({consequence})"))
 
     def _track(self, event: RunEvent) -> None:
         if isinstance(event, RunStarted):
             folder = RunFolder.open(event.folder)
-            name = (folder.read_spec() or {}).get("tracking") or os.environ.get(VARIABLE)
-            if name:
+            if name := tracker_of(folder):
                 self._runs[event.run] = folder, open_tracker(name, folder)
         elif (found := self._runs.get(event.run)) is None:
             return

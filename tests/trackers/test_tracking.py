@@ -91,7 +91,10 @@ def test_a_tracker_that_fails_is_a_warning_and_loses_no_run(tmp_path, monkeypatc
     assert run_of(TOY, tmp_path, listener=heard).state().state == "finished"
     [warning] = heard.warnings
     assert warning.startswith("the tracker failed: ConnectionError: no route to the tracker (the run goes on; `karolos")
+    assert warning.endswith(f" --runs {tmp_path}` sends it later)")
     monkeypatch.undo()
+    code, _, said = call(app, "runs", "push", "@last", "--runs", str(tmp_path))
+    assert (code, "its spec names no tracker; name one with --to" in said) == (2, True)
     code, _, said = call(app, "runs", "push", "@last", "--to", "mlfow", "--runs", str(tmp_path))
     assert (code, "choose mlflow, wandb, trackio" in said) == (2, True)
 
@@ -102,3 +105,11 @@ def test_secrets_and_code_do_not_reach_a_tracker(tmp_path):
     assert (told.group, told.settings["agent.name"]) == ("toy", "sac")
     assert "code.diff" not in tracking.FILES
     assert tracking.Tracked("r", "toy-t007", "p", tmp_path, {}).group == "toy"
+
+
+def test_a_run_is_pushed_to_the_tracker_of_its_spec(tmp_path, monkeypatch):
+    pushed = []
+    folder = run_of(toy(TOY, tracking="wandb"), tmp_path)
+    monkeypatch.setattr(tracking, "push", lambda name, one: pushed.append((name, one.id)))
+    assert call(app, "runs", "push", "@last", "--runs", str(tmp_path))[0] == 0
+    assert pushed == [("wandb", folder.id)]
