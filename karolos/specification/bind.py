@@ -229,6 +229,8 @@ def _what_and_hint(
         return "is missing", AGENT_HINT if (*invalid.path, *path) == ("agent",) else None
     if kind == "string_pattern_mismatch":
         return f"{shown(repr(given))} is not allowed", _pattern_hint(path)
+    if kind == "string_type" and isinstance(given, int | float) and len(entries) == 1:
+        return f"should be a string, not {shown(repr(given))}", "write it in quotes, also within those of a shell"
     texts = list(dict.fromkeys(_text(entry) for entry in entries))
     what = " or ".join([texts[0], *(text.removeprefix("should be ") for text in texts[1:])])
     node = tree.get(*invalid.path, *path)
