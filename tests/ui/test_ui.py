@@ -240,6 +240,8 @@ def test_port_that_is_taken_is_named(tmp_path):
         port = taken.getsockname()[1]
         with pytest.raises(MachineError, match=f"127.0.0.1:{port}: cannot listen"):
             serve(tmp_path, store, host="127.0.0.1", port=port, ready=print)
+        with pytest.raises(MachineError, match=r"cannot listen .*; --host names an address of this machine"):
+            serve(tmp_path, store, host="203.0.113.9", port=0, ready=print)  # of documentation: no machine has it
         code, out, err = call(app, "--runs", str(tmp_path), "--port", str(port))
     assert (code, out) == (3, "")
     assert err.startswith(f"127.0.0.1:{port}: cannot listen")

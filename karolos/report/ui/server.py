@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import hmac
 import secrets
 import socket
@@ -114,7 +115,8 @@ def serve(
         listener.listen(128)
     except OSError as error:
         listener.close()
-        hint = "name another with --port, or 0 for a free one"
+        taken = error.errno in (errno.EADDRINUSE, errno.EACCES)  # EACCES: a port below 1024
+        hint = "name another with --port, or 0 for a free one" if taken else "--host names an address of this machine"
         raise MachineError(f"cannot listen ({error.strerror or error})", where=f"{host}:{port}", hint=hint) from error
     port = listener.getsockname()[1]
     beyond = host not in LOOPBACK
