@@ -26,7 +26,6 @@ SEEDS = 2
 """Of each trial; reaching, which takes seconds, has five."""
 STEPS = {
     "reach": 2_000,
-    "pick": 20_000,
     "stack_demos": 20_000,
     "slide_demos": 40_000,
 }
