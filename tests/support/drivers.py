@@ -75,7 +75,3 @@ class Obedient(Driver):
 
     def stop(self) -> None:
         self.stops += 1
-
-    def outcome(self) -> bool | None:
-        assert self.stops
-        return None
