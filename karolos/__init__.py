@@ -5,7 +5,7 @@ from __future__ import annotations
 from importlib import import_module
 
 TYPE_CHECKING = False
-"""As in `typing`, whose import takes longer than all of this. Until it is over, Ctrl-C gives a traceback."""
+"""As `typing` has it. Ctrl-C prints a traceback until commands handle it, and importing `typing` would delay that."""
 if TYPE_CHECKING:
     from typing import Any
 

@@ -183,7 +183,7 @@ class TestingSettings(Settings):
 
     @property
     def held_out_count(self) -> int:
-        """Number of episodes of other held-out tests: that of the final test, or of a test if there is no final one."""
+        """Episodes of a held-out test: as many as in the final test, or as in other tests if there is no final one."""
         return self.final_count or self.episodes
 
     @property
