@@ -85,8 +85,8 @@ class PoseGoal(PointGoal):
         return np.asarray(lost, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        near = self.distance(achieved, desired) < self.threshold
-        return np.asarray(near & (self.angle(achieved, desired) < self.angle_threshold))
+        near = np.asarray(self.distance(achieved, desired) < self.threshold)
+        return near & (self.angle(achieved, desired) < self.angle_threshold) if near.any() else near
 
     def angle(self, achieved: Array, desired: Array) -> FloatArray:
         first, second = achieved[..., 3:], desired[..., 3:]
