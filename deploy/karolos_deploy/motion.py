@@ -22,6 +22,8 @@ LAG, LAG_TIME = 0.015, 0.04
 """Largest distance of the start of a path from the read joint: this angle in rad, plus its way in this time in s."""
 JERK_TIME = 0.004
 """Time in s in which a joint reaches its largest acceleration."""
+CURVED = 0.01
+"""Height, in m, above the lowest one to aim at, from which on no way curves down as far: as in training."""
 CATCH_UP = 0.05
 """Time constant, in s, with which set points return to the path after limits."""
 
@@ -149,10 +151,12 @@ class Motion:
 
     def _changes(self, values: Array, positions: Array, at: Configuration) -> Array:
         """Changes of the joints (n,) in rad that an action means."""
-        control, steps = self.control, np.array(self.control["joint_step"])
+        control = self.control
         if self.mode == "joint":
+            steps = np.array(control["joint_step"])
             return np.asarray(steps * values[: len(steps)])
-        place = self._inside(at.position + control["tool_step"] * values[:3], self._lowest(at))
+        lowest = self._lowest(at)
+        place = self._inside(at.position + control["tool_step"] * values[:3], lowest)
         if self.mode == "cartesian":
             yaw = control["home_yaw"]
             if control["yaw"]:
@@ -160,10 +164,24 @@ class Motion:
             k, s = np.cos(yaw), np.sin(yaw)
             rotation = np.array([[k, s, 0.0], [s, -k, 0.0], [0.0, 0.0, -1.0]])  # the tool points down
         else:
-            place, rotation = self._changed(at, at.position, at.rotation, values, self._lowest(at))
-        changes: Array = self.chain.step(at, place, rotation, control["posture_gain"] * (self.home - positions))
-        slowed: Array = changes / max(1.0, float(np.abs(changes / steps).max()))
+            place, rotation = self._changed(at, at.position, at.rotation, values, lowest)
+        changes = self._towards(at, positions, place, rotation)
+        if place[2] < lowest + CURVED and place[2] < (raised := lowest + self._sinks(at, positions, changes)):
+            changes = self._towards(at, positions, np.array([*place[:2], raised]), rotation)
+        return changes
+
+    def _towards(self, at: Configuration, positions: Array, place: Array, rotation: Array) -> Array:
+        """Changes of the joints (n,) in rad towards a pose, scaled down so that no joint exceeds its step."""
+        posture = self.control["posture_gain"] * (self.home - positions)
+        changes: Array = self.chain.step(at, place, rotation, posture)
+        slowed: Array = changes / max(1.0, float(np.abs(changes / self.control["joint_step"]).max()))
         return slowed
+
+    def _sinks(self, at: Configuration, positions: Array, changes: Array) -> float:
+        """How far in m the tool comes to rest below a straight way: `Control` of karolos."""
+        half, speeds = self.period / 2, self.velocities + changes / self.period
+        end = self.chain.at(positions + half * speeds).position[2]
+        return float(2 * (at.position[2] + half * at.jacobian[2] @ speeds - end))
 
     def _changed(
         self, at: Configuration, place: Array, rotation: Array, values: Array, lowest: float
