@@ -101,3 +101,21 @@ def test_a_joint_that_brakes_slowly_stops_inside_its_range(share, sign):
             at, velocity = at + (velocity + end) / 2 * period, end
             assert sign * at < 1.5 or (sign * velocity < 0.02 * speed and sign * at < 1.506), "it meets no hard stop"
         assert sign * at > 1.499
+
+
+@pytest.mark.parametrize("robot", ["panda", "ur5", "iiwa"])
+@pytest.mark.parametrize("control", ["cartesian", "pose"])
+def test_a_tool_that_moves_sideways_at_its_lowest_place_does_not_sink(robot, control):
+    environment = made("reach", robot, arm={"control": control})
+    arm, size = environment.robot, environment.signature.action.size
+    assert isinstance(arm, Arm)
+    (*_, low), heights = arm.workspace.low, list[float]()
+    for across in (1.0, -1.0):
+        environment.reset(0)
+        arm.place_tool((*arm.workspace.centre[:2], low + 0.02), 1.0)
+        for side in (1.0,) * 6 + (-1.0,) * 12:
+            arm.act([side, across * side, -1.0, *[0.0] * (size - 3)])
+            environment.world.step()
+            arm.read()
+            heights.append(arm.tool_position[2])
+    assert low - 3e-4 < min(heights) < low + 1e-3
