@@ -404,7 +404,8 @@ class Arm:
         """Lowest height to aim at, so that the tool comes to rest at the lower end of the workspace and not below.
 
         A control step moves the tool by the mean of its speeds before and after. Afterwards the step s may be as long
-        as the distance that is then left: s = d - (v T + s) / 2. This is the factor 1.5 of `steps_down`.
+        as the distance that is then left: s = d - (v T + s) / 2. This would be a factor of 1.5 for `steps_down`. With
+        2, joints that also turn for a motion sideways keep enough of their accelerations to brake.
         """
         low, z, speed = self.workspace.low[2], self.tool_position[2], min(self.tool_velocity[2], 0.0)
         return max(low, z - (z - low + speed * self.period / 2) / self.model.steps_down)

@@ -76,7 +76,7 @@ class ArmModel:
     """Pairs of links that collide; all other pairs of the arm's links do not. `FINGERS` stands for each finger."""
     locked: Mapping[str, float] = field(default_factory=dict)
     """Joints that are held at a position in rad or m, such as those of a gripper with turning fingers."""
-    steps_down: float = 1.5
+    steps_down: float = 2.0
     """A control step takes at most one part in `steps_down` of the way down to the lower end of the workspace."""
     mount: Mount | None = None
     """The gripper at the flange. `mounting.mounted` sets it."""
