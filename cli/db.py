@@ -23,8 +23,7 @@ def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are still read."""
     from karolos.store import Store
 
-    if not runs.is_dir():
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs)")
+    _check_folder(runs)
     with Store(database or Store.default_url(runs)) as store:
         _rebuild(store, runs)
 
@@ -72,9 +71,16 @@ def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
                 warn(f"{run}: its folder is not in {runs}; `karolos db reindex --runs FOLDER` enters runs of another")
 
 
+def _check_folder(runs: Path) -> None:
+    """Refuse a missing folder: as an empty one it would agree with everything, or lose all runs."""
+    if not runs.is_dir():
+        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs)")
+
+
 def _existing(runs: Path, database: str | None) -> str:
     from karolos.store import Store
 
+    _check_folder(runs)
     url = database or Store.default_url(runs)
     if not Store.exists(url):
         raise StoreError("there is no database", where=str(runs), hint="`karolos db reindex` makes one")

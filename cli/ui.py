@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -10,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from karolos.errors import UsageError
+from karolos.errors import MachineError, UsageError
 
 from .arguments import Database, Runs, open_or_make_store
 from .output import print_line, say
@@ -61,8 +62,9 @@ def board(
         raise UsageError(f"there is no runs folder {runs}", hint="run a spec first, or name the folder with --runs")
     command = [sys.executable, "-m", "tensorboard.main", "--logdir", str(runs), "--host", "localhost"]
     process = subprocess.Popen([*command, "--port", str(port)])
+    signal.signal(signal.SIGTERM, lambda *_: process.terminate())
     try:
         code = process.wait()
     except KeyboardInterrupt:
         code = process.wait()  # it got the same signal
-    raise typer.Exit(code if code >= 0 else 128 - code)
+    raise typer.Exit(128 - code if code < 0 else MachineError.exit_code if code else 0)

@@ -15,7 +15,7 @@ from ..comparison.curves import Axis, places
 from ..core.seeding import SeedTree
 from ..errors import UsageError, alternatives
 from ..records.run_records import Metric
-from .figures import COLOURS, Drawing, file_name, look, short, style
+from .figures import COLOURS, HEIGHT, Drawing, file_name, look, short, style
 from .tables import decimal, estimate, heading
 
 _Floats = NDArray[np.float64]
@@ -103,6 +103,7 @@ def final(comparison: Comparison) -> Drawing:
         f"{comparison.what.title()} at the end of training",
         "A dot is a seed. Below: mean and its interval (95 %; smallest to largest for 2 to 4 seeds).",
     )
+    drawing.figure.set_figheight(max(HEIGHT, 1 + 0.25 * len(comparison.labels)))
     low, high = _ends(comparison)
     estimates = [
         {"any": scores.any, "end": scores.end, "return": scores.returns}[comparison.metric]

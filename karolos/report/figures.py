@@ -8,7 +8,7 @@ import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
-from math import isfinite
+from math import ceil, isfinite
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -80,6 +80,8 @@ class Drawing:
         self.figure = Figure(figsize=(WIDTH, HEIGHT), layout="constrained")
         self.axes = self.figure.add_subplot()
         self.axes.set_title(short(title, 44))
+        self._names: list[str] = []
+        self._legend_height = 0.0
         self.parts: dict[str, tuple[str, str]] = {}
         """Group id of an artist -> class names and tooltip of its element in the page."""
 
@@ -96,10 +98,23 @@ class Drawing:
 
     def legend(self, labels: Sequence[str]) -> None:
         """Name the contenders below the axes."""
+        self._names = [short(label) for label in labels]
+        self._draw_legend(WIDTH, FONT)
+
+    def _draw_legend(self, width: float, font: float) -> None:
+        """Draw the legend with the columns that fit, and give the figure the height of its rows after the third."""
         from matplotlib.lines import Line2D  # noqa: PLC0415
 
-        lines = [Line2D([], [], **style(series), label=short(label)) for series, label in enumerate(labels)]
-        legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=min(len(labels), 2))
+        # A letter is about .62 of the font size wide, line and gaps of a column 3.6; a row is 1.5 high.
+        fits = 2 * (0.62 * max(map(len, self._names)) + 3.6) * font <= width * 72
+        columns = min(len(self._names), 2 if fits else 1)
+        height = max(ceil(len(self._names) / columns) - 3, 0) * 1.5 * font / 72
+        self.figure.set_figheight(self.figure.get_figheight() + height - self._legend_height)
+        self._legend_height = height
+        self.figure.legends.clear()
+        lines = [Line2D([], [], **style(series), label=name) for series, name in enumerate(self._names)]
+        with look():
+            legend = self.figure.legend(handles=lines, loc="outside lower center", ncols=columns, fontsize=font)
         for series, (line, text) in enumerate(zip(legend.legend_handles, legend.get_texts(), strict=True)):
             assert line is not None
             self.part(line, f"series-{series}")
@@ -111,11 +126,14 @@ class Drawing:
 
         if (width, font) == (WIDTH, FONT):
             return
-        self.figure.set_size_inches(width, width * HEIGHT / WIDTH)
+        now, height = self.figure.get_size_inches()
+        self.figure.set_size_inches(width, (height - self._legend_height) * width / now + self._legend_height)
         for text in self.figure.findobj(Text):
             assert isinstance(text, Text)
             text.set_fontsize(float(text.get_fontsize()) * font / FONT)
         self.axes.tick_params(labelsize=font)  # of ticks that do not exist yet
+        if self._names:
+            self._draw_legend(width, font)
 
     def save(self, path: Path) -> Path:
         """Write the figure in the format of the file's extension; the same figure gives the same bytes.
@@ -137,12 +155,14 @@ class Drawing:
         import matplotlib  # noqa: PLC0415
 
         stream = StringIO()
-        legends = [*self.figure.legends]
+        legends, height = [*self.figure.legends], self.figure.get_figheight()
         if not legend:
             self.figure.legends.clear()
+            self.figure.set_figheight(height - self._legend_height)
         with look(), matplotlib.rc_context({"svg.hashsalt": self.name}):
             self.figure.savefig(stream, format="svg", metadata={"Date": None})
         self.figure.legends[:] = legends
+        self.figure.set_figheight(height)
         text = re.sub(r"<metadata>.*?</metadata>| xmlns(:xlink)?=\S+\"", "", stream.getvalue(), flags=re.DOTALL)
         for gid, (classes, tooltip) in self.parts.items():
             title = f"<title>{escape(tooltip)}</title>" if tooltip else ""

@@ -45,6 +45,8 @@ _CHANGE_COUNTER = 24
 _ADVISORY_LOCK = 0x6B61726F  # arbitrary, the same in every karolos
 _LOCK_NOT_AVAILABLE = "55P03"
 """PostgreSQL's code of the error after `lock_timeout`."""
+_NO_RIGHT = "42501"
+"""PostgreSQL's code of the error of a role without the right."""
 _REBUILD = "move it away and run `karolos db reindex`, which builds a new one from the run folders"
 _LOCKED = ("another process keeps the database locked", "wait for that process, or stop it")
 _SQLITE_ERRORS = {
@@ -207,7 +209,10 @@ def explained(url: URL) -> Iterator[None]:
         kind = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF
         if kind not in _SQLITE_ERRORS and getattr(error.orig, "sqlstate", None) == _LOCK_NOT_AVAILABLE:
             kind = sqlite3.SQLITE_BUSY
-        default = (f"the database refuses ({_first_line(error)})", "check that the server is up and the URL is right")
+        hint = "check that the server is up and the URL is right"
+        if getattr(error.orig, "sqlstate", None) == _NO_RIGHT:
+            hint = "name another role in the URL, or ask the owner of the database for the right"
+        default = f"the database refuses ({_first_line(error)})", hint
         what, hint = _SQLITE_ERRORS.get(kind, default)
         if (path := _sqlite_file(url)) is not None and path.is_dir():
             what, hint = "a folder is in the way of the database's file", "move it away, or name a file with --database"
@@ -270,7 +275,7 @@ def _make_engine(url: URL, path: Path | None, timeout: float) -> Engine:
         server = {"pool_pre_ping": True, "connect_args": {"client_encoding": "utf8"}}
         engine = create_engine(url, **sqlite if path else server)
     except (NoSuchModuleError, ModuleNotFoundError) as error:
-        what, hint = f"the database driver is missing ({error})", "for PostgreSQL: pip install karolos[postgres]"
+        what, hint = f"the database driver is missing ({error})", "for postgresql://...: pip install karolos[postgres]"
         raise StoreError(what, where=_without_secrets(url), hint=hint) from error
 
     def begin(connection: Connection) -> None:

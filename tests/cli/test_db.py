@@ -45,10 +45,14 @@ def test_check_is_silent_or_lists_differences_and_ends_with_4(runs):
 
 
 def test_where_there_is_nothing_this_is_told_and_nothing_is_made(runs):
+    for command in ("check", "upgrade", "reindex"):  # with a database elsewhere, too: its runs would be lost
+        told = refused("db", command, "--database", f"sqlite:///{runs.parent}/other.sqlite")
+        assert "there is no folder" in told
+    assert not runs.exists()
+    runs.mkdir()
     for command in ("check", "upgrade"):
         assert "there is no database; `karolos db reindex` makes one" in refused("db", command, code=4)
-    assert "there is no folder" in refused("db", "reindex")
-    assert not runs.exists()
+    assert [*runs.parent.rglob("*.sqlite")] == []
 
 
 def changed(runs: Path, script: str) -> None:

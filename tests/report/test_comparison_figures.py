@@ -9,7 +9,7 @@ from support.compared_runs import CURVES, contender, run
 from karolos.comparison import Comparison, Contender, compare
 from karolos.errors import MachineError, UsageError
 from karolos.report import comparison_figures as figures
-from karolos.report.figures import COLOURS, Drawing, short, write_figures
+from karolos.report.figures import COLOURS, Drawing, look, short, write_figures
 from karolos.report.tables import verdict
 
 NAMES = ["success_over_steps", "success_over_seconds", "final_success", "performance_profiles", "density__x_1_b_"]
@@ -148,6 +148,23 @@ def test_figures_are_written_in_every_format_and_are_the_same_each_time(tmp_path
     assert "$x_1 &lt;b&gt;&amp;$" in written[0].read_text()  # text, and no formula
     with pytest.raises(MachineError):
         write_figures([], written[0] / "figures")
+
+
+@pytest.mark.parametrize(("width", "font"), [(4.8, 9), (3.4, 8)])
+@pytest.mark.parametrize("name", ["a", "a_name_that_is_longer_than_what_a_figure_shows_of_it"])
+def test_names_of_many_contenders_have_room_of_their_own(tmp_path, width, font, name):
+    compared = compare([contender(f"{name}{place}", [[place, 90]]) for place in range(40)])
+    curves, final = figures.learning(compared, "steps"), figures.final(compared)
+    write_figures([curves, final], tmp_path, width=width, font=font)
+    with look():
+        for drawing in (curves, final):
+            drawing.figure.set_dpi(200)  # as in the files: texts of few pixels are higher
+            drawing.figure.canvas.draw()
+    [legend], edge = curves.figure.legends, curves.figure.bbox
+    box, axes = legend.get_window_extent(), curves.axes.get_window_extent()
+    assert edge.x0 <= box.x0 < box.x1 <= edge.x1
+    assert edge.y0 <= box.y0 < box.y1 < axes.y0 < axes.y1 - 100
+    assert final.axes.get_window_extent().height / 200 * 72 / 40 > 1.2 * font  # a row is higher than its text
 
 
 def test_figure_of_a_page_has_classes_and_tooltips():

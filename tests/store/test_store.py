@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from sqlalchemy import event, select, update
+from sqlalchemy import event, make_url, select, update
+from sqlalchemy.exc import ProgrammingError
 from support.databases import KINDS, empty_database
 from support.fork_server import FORKS
 from support.run_samples import bare, indexed_run, new_run, result, stored
@@ -21,6 +22,7 @@ from karolos.records import RunFolder, labels
 from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunSummary
 from karolos.store import Store, query
+from karolos.store.database import explained
 from karolos.store.density import kde
 from karolos.store.experiments import success_densities
 from karolos.store.tables import SCHEMA, SUCCESSES
@@ -472,6 +474,13 @@ def test_url_that_names_no_database_or_driver_is_told_without_the_password(url, 
     with pytest.raises(StoreError, match=told) as caught:
         Store(url)
     assert "secret" not in str(caught.value)
+
+
+def test_a_role_without_rights_is_not_told_to_check_the_server():
+    refusal = type("Refusal", (Exception,), {"sqlstate": "42501"})("permission denied for table runs")
+    told, url = r"denied for table runs.*another role in the URL", make_url("postgresql://reader@host/lab")
+    with pytest.raises(StoreError, match=told), explained(url):
+        raise ProgrammingError("UPDATE", {}, refusal)
 
 
 def test_full_disk_is_told_and_loses_nothing_stored(store):

@@ -2,7 +2,10 @@
 
 import asyncio
 import re
+import signal
 import socket
+import subprocess
+import sys
 import threading
 from pathlib import Path
 from urllib.parse import parse_qs, quote, urlsplit
@@ -10,7 +13,7 @@ from urllib.parse import parse_qs, quote, urlsplit
 import pytest
 from karolos_cli.ui import ui
 from starlette.testclient import TestClient
-from support.commands import call
+from support.commands import call, karolos
 from support.compared_runs import EVIL
 from support.processes import wait_for
 from support.run_samples import add_run, bare
@@ -245,6 +248,19 @@ def test_port_that_is_taken_is_named(tmp_path):
         code, out, err = call(app, "--runs", str(tmp_path), "--port", str(port))
     assert (code, out) == (3, "")
     assert err.startswith(f"127.0.0.1:{port}: cannot listen")
+
+
+@pytest.mark.parametrize(
+    ("ending", "code"), [("sys.exit(255)", 3), ("os.kill(os.getppid(), signal.SIGTERM), time.sleep(60)", 143)]
+)
+def test_tensorboard_ends_with_its_command_and_with_a_known_code(tmp_path, monkeypatch, ending, code):
+    start, before = subprocess.Popen, signal.getsignal(signal.SIGTERM)
+    program = [sys.executable, "-c", f"import os, signal, sys, time; {ending}"]
+    monkeypatch.setattr("subprocess.Popen", lambda _: start(program))
+    try:
+        karolos("board", "--runs", tmp_path, code=code)
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def test_what_is_shown_is_told_with_the_address(tmp_path, monkeypatch):

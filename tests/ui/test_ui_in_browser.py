@@ -15,7 +15,7 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Mount, Route
 from support.browser import chromium, in_browser
 from support.compared_runs import EVIL
-from support.run_samples import SPEC, add_run, bare
+from support.run_samples import SPEC, add_run, bare, new_run, result
 
 from karolos.records.evaluation import Evaluation
 from karolos.records.run_records import RunRecord
@@ -57,11 +57,11 @@ async function walk() {
   steps["the filter is applied while one types"] = await until(() => count("[data-row]") === 1);
   times.filter = performance.now() - start;
   type("nme=exp7");
-  steps["a wrong filter is explained"] = await until(() => find(".problem")?.innerText.includes("did you mean name?"));
+  steps["a wrong filter is explained"] = await until(() => find("#list .problem")?.innerText.includes("mean name?"));
   type("");
   await until(() => count("[data-row]") === 50);
   find("#filter").blur();
-  for (const key of "jjxjx") press(key);
+  for (const key of "jjjxjx") press(key);
   steps["j and x choose"] = find("[data-compare]").innerText === "Compare 2";
   await fetch("/add", { method: "POST" });
   steps["a new run appears by itself"] = await until(() => find("[data-row]").innerText.includes("brand_new"));
@@ -78,6 +78,15 @@ async function walk() {
   steps["a tag is added"] = find(".tag")?.innerText.startsWith("good");
   await left(() => find("#live tbody th a").click());
   steps["a test is shown episode by episode"] = count("tr[id]") === 20 && count(".failure") === 1 && fits();
+  await open("/?where=name~going");
+  await left(() => find("[data-row] th a").click());
+  steps["a long name fits"] = fits();
+  await open("/?where=name~going");
+  await left(() => find("a.seed-link").click());
+  await fetch("/test", { method: "POST" });
+  steps["a live run shows its new test"] = await until(() => find("#tests").innerText.includes("2,000"));
+  await fetch("/remove", { method: "POST" });
+  steps["a page of a removed run says so"] = await until(() => find("#notice").innerText.includes("there is no run"));
 }
 const tell = error => { if (error) steps[`${error} after ${Object.keys(steps).pop()}`] = false; };
 walk().catch(tell).then(() => fetch("/done", { method: "POST", body: JSON.stringify({ steps, times }) }));
@@ -118,11 +127,26 @@ def test_walk_through_the_pages_in_a_browser(tmp_path):
         (tmp_path / add_run(tmp_path, 0, name="brand_new") / "play.mp4").touch()
         return Response()
 
+    going = new_run(tmp_path, "going" + "x" * 90, experiment="going")
+    going.add_test(result(1000, 9))
+    going.set_state("running", steps=1000)
+    store.add_records([going.record()])
+
+    def test(_: Request) -> Response:
+        going.add_test(result(2000, 19))
+        going.set_state("running", steps=2000)
+        return Response()
+
+    def remove(_: Request) -> Response:
+        store.remove_runs([going.id])
+        return Response()
+
     async def done(request: Request) -> Response:
         answers.put(json.loads(await request.body()))
         return Response()
 
     own = [Route("/walk", lambda _: HTMLResponse(WALK)), Route("/add", add, methods=["POST"])]
+    own += [Route("/test", test, methods=["POST"]), Route("/remove", remove, methods=["POST"])]
     routes = [*own, Route("/done", done, methods=["POST"]), Mount("/", Application(tmp_path, store).asgi())]
     server = uvicorn.Server(uvicorn.Config(Starlette(routes=routes), port=0, log_level="warning", lifespan="off"))
     thread = threading.Thread(target=server.run, daemon=True)
@@ -145,5 +169,5 @@ def test_walk_through_the_pages_in_a_browser(tmp_path):
         server.should_exit = True
         thread.join()
     assert [step for step, holds in answer["steps"].items() if not holds] == []
-    assert len(answer["steps"]) == 12
+    assert len(answer["steps"]) == 15
     assert max(answer["times"].values()) < 3000  # ms, of which the filter waits 200; a tenth of it on a machine at rest
