@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from karolos.errors import StoreError, UsageError
+from karolos.errors import StoreError
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
@@ -22,9 +22,9 @@ app = typer.Typer(name="db", help="Rebuild, check and upgrade the results databa
 def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are still read."""
     from karolos.store import Store
+    from karolos.store.folders import check_folder
 
-    if not runs.is_dir():
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs)")
+    check_folder(runs)
     with Store(database or Store.default_url(runs)) as store:
         _rebuild(store, runs)
 
