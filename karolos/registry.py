@@ -265,4 +265,4 @@ def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> Non
     lacking = sorted({*abstract, *(name for name in NEEDED_ATTRIBUTES[kind] if not hasattr(plugin, name))})
     if lacking:
         what = f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}"
-        raise broken(what, hint=f"a {singular(kind)} has {', '.join(NEEDED_ATTRIBUTES[kind])}")
+        raise broken(what, hint=f"{kind} have {', '.join(NEEDED_ATTRIBUTES[kind])}")

@@ -96,7 +96,7 @@ def test_what_a_plugin_prints_while_it_is_imported_does_not_mix_with_results(
         ("robots", "WithoutSettings", "has no settings"),
         ("robots", "not_a_class", "is not a class"),
         ("robots", "WithName", "a setting called 'name'"),
-        ("distributions", "Abstract", "Abstract is no distribution: it lacks draw; a distribution has draw"),
+        ("distributions", "Abstract", "Abstract is no distribution: it lacks draw; distributions have draw"),
     ],
 )
 def test_plugin_without_usable_settings_or_with_an_abstract_method_is_refused(fake_plugins, kind, target, what):
