@@ -63,7 +63,7 @@ class Failing(FakeLauncher):
 
 def test_the_error_of_another_packages_launcher_names_its_line(tmp_path, monkeypatch):
     entry = registry.PluginEntry("launchers", "failing", f"{__name__}:Failing", "shaky", "1.0")
-    installed = *registry.entries("launchers"), entry
+    installed = *registry._installed(), entry
     monkeypatch.setattr(registry, "_scan", lambda: (installed, ()))
     with pytest.raises(PluginError, match=r"test_driver\.py:\d+: launcher 'failing' of shaky 1\.0: ZeroDivisionError"):
         drive(tmp_path, Failing())
