@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from karolos.errors import StoreError, UsageError
+from karolos.errors import StoreError
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
@@ -22,8 +22,9 @@ app = typer.Typer(name="db", help="Rebuild, check and upgrade the results databa
 def reindex(runs: Runs = Path("runs"), database: Database = None) -> None:
     """Rebuild the database from the run folders. Exit code 1 if files are damaged; the other runs are still read."""
     from karolos.store import Store
+    from karolos.store.folders import check_folder
 
-    _check_folder(runs)
+    check_folder(runs)
     with Store(database or Store.default_url(runs)) as store:
         _rebuild(store, runs)
 
@@ -71,16 +72,11 @@ def upgrade(runs: Runs = Path("runs"), database: Database = None) -> None:
                 warn(f"{run}: its folder is not in {runs}; `karolos db reindex --runs FOLDER` enters runs of another")
 
 
-def _check_folder(runs: Path) -> None:
-    """Refuse a missing folder: as an empty one it would agree with everything, or lose all runs."""
-    if not runs.is_dir():
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs)")
-
-
 def _existing(runs: Path, database: str | None) -> str:
     from karolos.store import Store
+    from karolos.store.folders import check_folder
 
-    _check_folder(runs)
+    check_folder(runs)  # as an empty one, a missing one would agree with everything, or lose all runs
     url = database or Store.default_url(runs)
     if not Store.exists(url):
         raise StoreError("there is no database", where=str(runs), hint="`karolos db reindex` makes one")

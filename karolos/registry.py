@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from functools import cache, partial
 from typing import Any
 
-from .errors import KarolosError, PluginError, UsageError, alternatives
+from .errors import KarolosError, MachineError, PluginError, UsageError, alternatives
 
 KINDS = (
     "robots",
@@ -99,6 +99,7 @@ def load(kind: str, name: str) -> Any:
         UsageError: the kind or the name is unknown; lists the known ones and the closest match.
         PluginError: two distributions claim the name, the plugin does not import, it has no usable `Settings`, or it
             lacks a part of its kind's interface.
+        MachineError: there is not enough memory to import it.
     """
     return _load(find(kind, name))
 
@@ -191,6 +192,8 @@ def _load(entry: PluginEntry) -> Any:
             _check(plugin, entry.kind, partial(broken, where=entry.who))
     except (PluginError, KeyboardInterrupt):
         raise
+    except MemoryError:  # not the plugin's fault
+        raise MachineError(f"not enough memory to import {entry.who}", hint="free memory, or raise its limit") from None
     except BaseException as error:  # a plugin's module may raise anything
         if isinstance(error, SyntaxError) and os.path.isfile(error.filename or ""):
             place = f"{error.filename}:{error.lineno}: "
@@ -265,4 +268,4 @@ def _check(plugin: object, kind: str, broken: Callable[..., PluginError]) -> Non
     lacking = sorted({*abstract, *(name for name in NEEDED_ATTRIBUTES[kind] if not hasattr(plugin, name))})
     if lacking:
         what = f"{plugin.__name__} is no {singular(kind)}: it lacks {', '.join(lacking)}"
-        raise broken(what, hint=f"a {singular(kind)} has {', '.join(NEEDED_ATTRIBUTES[kind])}")
+        raise broken(what, hint=f"{kind} have {', '.join(NEEDED_ATTRIBUTES[kind])}")

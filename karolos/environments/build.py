@@ -46,8 +46,8 @@ def build_environment(recipe: Recipe) -> Environment:
 
     Raises:
         UsageError: a robot or task is missing, or given to an environment that takes none; randomization names a
-            parameter that cannot be sampled.
-        PluginError: robot and task are incompatible, or a plugin fails, or ends the program.
+            parameter that cannot be sampled; or robot and task are incompatible.
+        PluginError: a plugin fails, or ends the program.
     """
     try:
         return _build(recipe)

@@ -50,9 +50,9 @@ class RobotTask(Environment):
     Measures: time to success, distance and angle to the goal if its rule has them, then the robot's and the task's.
 
     Raises:
-        PluginError: robot and task are incompatible, or both declare a measure of one name; while it runs, the task
-            observes what is not finite, or gives an `extra_reward` beyond its range.
-        UsageError: `omit` names an unknown field, or the engine is not installed.
+        PluginError: robot and task declare a measure of one name; while it runs, the task observes what is not finite,
+            or gives an `extra_reward` beyond its range.
+        UsageError: robot and task are incompatible, `omit` names an unknown field, or the engine is not installed.
     """
 
     class Settings(BaseSettings):

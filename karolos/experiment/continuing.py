@@ -10,6 +10,7 @@ from ..errors import UsageError
 from ..records import RunFolder, checkpoint, provenance
 from ..records.shipped import is_shipped
 from ..specification import Spec, spec_from_dict
+from .checkpointer import BEST
 from .events import Listener
 from .resume import LAST, check_files, find_run, learner_of
 from .writer import RunWriter
@@ -50,7 +51,8 @@ def continued_spec(source: RunFolder, overrides: Sequence[str]) -> Spec:
 def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolder:
     """The run of `continued_spec`: the existing one, or a new one with everything that the source has.
 
-    Tests, episodes and checkpoints are copied; the series in TensorBoard begin here. The source stays as it is.
+    Tests, episodes and the checkpoints `best` and `last` are copied; the series in TensorBoard begin here. The source
+    stays as it is.
 
     Raises CheckpointError if a checkpoint is damaged, MachineError if the folder cannot be written. No run is left.
     """
@@ -61,7 +63,7 @@ def continue_from(source: RunFolder, spec: Spec, listener: Listener) -> RunFolde
     folder = RunFolder.create(runs, spec.name, seed)
     origin = {"run": source.id, "steps": spec.dump()["continued_from"]["at"]}
     with folder.removed_on_error():
-        for name in checkpoint.names(source.checkpoints):
+        for name in sorted({BEST, LAST} & {*checkpoint.names(source.checkpoints)}):
             parts, meta = checkpoint.load(source.checkpoints, name)
             checkpoint.save(folder.checkpoints, name, parts, meta | {"experiment": spec.hash()})
         for name in ("tests.jsonl", "episodes.jsonl"):

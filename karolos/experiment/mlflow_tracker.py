@@ -11,6 +11,7 @@ from mlflow.entities import Metric, Param, RunTag
 from mlflow.tracking import MlflowClient
 from typing_extensions import override
 
+from ..store.database import sqlite_url
 from .tracking import Tracked, Tracker
 
 PARAMS = 100
@@ -22,7 +23,7 @@ class MlflowTracker(Tracker):
     """A run of MLflow, found again by its tag `karolos.run`."""
 
     def __init__(self, run: Tracked) -> None:
-        address = os.environ.get("MLFLOW_TRACKING_URI") or f"sqlite:///{(run.runs / 'mlflow.db').as_posix()}"
+        address = os.environ.get("MLFLOW_TRACKING_URI") or sqlite_url(run.runs / "mlflow.db")
         self._client = MlflowClient(address)
         found = self._client.get_experiment_by_name(run.project)
         where = (run.runs / "mlflow").as_uri() if address.startswith("sqlite:") else None

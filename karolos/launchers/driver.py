@@ -17,14 +17,19 @@ from ..experiment.signals import StopRequest
 from ..experiment.tracking import Tracking
 from ..records import provenance
 from ..records.run_folder import LAUNCH, STOP
+from ..registry import blaming
 from ..specification import Spec
 from ..system.files import read_object, write_json, write_whole
 from .interface import Ended, Launcher
 from .local import LocalLauncher
 
 
+@blaming()
 def make_launcher(spec: Spec, jobs: int | None) -> Launcher:
-    """The spec's launcher, for `jobs` runs at the same time. Raises UsageError if `jobs` is below 1."""
+    """The spec's launcher, for `jobs` runs at the same time.
+
+    Raises UsageError if `jobs` is below 1, PluginError if another package's launcher fails.
+    """
     if jobs is not None and jobs < 1:
         raise UsageError(f"jobs is {jobs}, and must be at least 1", hint="give 1 or more")
     if spec.launcher is None:
@@ -98,8 +103,12 @@ class Driver:
         self._work: dict[Job, list[FolderTask]] = {}
         """The current jobs, each with its tasks."""
 
+    @blaming()
     def run(self, jobs: Iterable[Job], most: int | None = None) -> None:
-        """Execute jobs. The next one is taken when fewer than `most` are active; None: all are taken at once."""
+        """Execute jobs. The next one is taken when fewer than `most` are active; None: all are taken at once.
+
+        Raises PluginError if another package's launcher fails.
+        """
         coming = iter(jobs)
         while True:
             # Take jobs, as long as no stop is requested.

@@ -171,10 +171,14 @@ def _slurm(*command: str) -> str:
         )
     except subprocess.TimeoutExpired as error:
         raise MachineError(f"{command[0]} did not answer within {ANSWER_SECONDS:g} s") from error
-    except FileNotFoundError as error:
-        raise MachineError(f"{command[0]} is not installed", hint="run on a machine that submits to Slurm") from error
+    except OSError as error:
+        missing = isinstance(error, FileNotFoundError)
+        what = f"{command[0]} is not installed" if missing else f"{command[0]} cannot be run: {error.strerror}"
+        raise MachineError(what, hint="run on a machine that submits to Slurm") from error
     if done.returncode:
-        refused = UsageError if command[0] == "sbatch" else MachineError
-        first = next(iter((done.stderr.strip() or done.stdout.strip()).splitlines()), "it failed")
-        raise refused(first, hint="see launcher.* in the spec")
+        told = "; ".join((done.stderr.strip() or done.stdout.strip()).splitlines())
+        what = f"{command[0]} ended with exit code {done.returncode}" + (told and f": {told}")
+        if command[0] == "sbatch":
+            raise UsageError(what, hint="see launcher.* in the spec")
+        raise MachineError(what)
     return done.stdout

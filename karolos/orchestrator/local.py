@@ -16,6 +16,7 @@ from pydantic import model_validator
 
 from ..core import BuildEnvironment, Failure, FloatArray, Orchestrator, Received, Step
 from ..core import Settings as BaseSettings
+from ..core.orchestrator import environments_of
 from ..errors import RunError
 from .executor import RESET, STEP, Group, InProcess
 from .pool import WorkerPool
@@ -55,7 +56,7 @@ class Local(Orchestrator):
 
     `receive` raises the error of an environment that fails more than `failures` times without a completed episode in
     between: its KarolosError, or a WorkerError with the traceback. The environment is then idle and can be reset. The
-    next `receive` returns the answers of the other environments.
+    next `receive` returns the answers and failures of the other environments.
     """
 
     class Settings(Limits):
@@ -104,6 +105,8 @@ class Local(Orchestrator):
         self._failed = np.zeros(self.size, np.int64)
         """Failures of each environment since its last completed episode."""
         self._any_failed = False
+        self._failures: list[Failure] = []
+        """Those that no `receive` has returned or raised yet."""
         self._pending = self._ready = 0
         self._all_ids = np.arange(self.size)
 
@@ -149,16 +152,15 @@ class Local(Orchestrator):
         closes the orchestrator.
         """
         backend = self._running()
-        failures: list[Failure] = []
-        failed = 0
-        while self._pending and (at_least is None or at_least > self._ready + failed):
-            failures += self._collect(backend, wait=True)
-            failed = sum(failure.environment.size for failure in failures)
+        self._raise_repeated()
+        while self._pending and (at_least is None or at_least > self._ready + environments_of(self._failures).size):
+            self._collect(backend, wait=True)
         if at_least == 0 and self._pending:
-            failures += self._collect(backend, wait=False)
-        return self._fetch(backend, tuple(failures))
+            self._collect(backend, wait=False)
+        failures, self._failures = tuple(self._failures), []
+        return self._fetch(backend, failures)
 
-    def _collect(self, backend: Backend, *, wait: bool) -> list[Failure]:
+    def _collect(self, backend: Backend, *, wait: bool) -> None:
         """Record the answers of the backend. Raises the error of the first environment that failed too often."""
         try:
             done, failures = backend.collect(wait=wait)
@@ -176,10 +178,14 @@ class Local(Orchestrator):
             self._busy[ids] = self._answered[ids] = False
             self._failed[ids] += 1
             self._any_failed = True
-        for ids, error, _ in failures:
-            if (self._failed[ids] > self._settings.failures).any():
-                raise error
-        return failures
+        self._failures += failures
+        self._raise_repeated()
+
+    def _raise_repeated(self) -> None:
+        for place, failure in enumerate(self._failures):
+            if (self._failed[failure.environment] > self._settings.failures).any():
+                del self._failures[place]
+                raise failure.error
 
     def _fetch(self, backend: Backend, failures: tuple[Failure, ...]) -> Received:
         """The answers that no `receive` has returned yet."""
@@ -221,6 +227,9 @@ class Local(Orchestrator):
             if self._ready:  # the command overwrites an answer that was not received
                 self._ready -= int(self._answered[group.rows].sum())
                 self._answered[group.rows] = False
+            if self._failures:  # or a failure
+                rest = [(np.setdiff1d(one.environment, group.ids), one) for one in self._failures]
+                self._failures = [one._replace(environment=ids) for ids, one in rest if ids.size]
             self._busy[group.rows] = True
             self._updates[group.rows] = updates
             self._pending += group.ids.size

@@ -44,7 +44,7 @@ def pair(
 ) -> RobotTask:
     """A robot with a task at their defaults, except the engine, the steps of an episode and settings of the robot.
 
-    Raises UsageError if one is unknown, PluginError if the task does not work with the robot.
+    Raises UsageError if one is unknown, or if the task does not work with the robot.
     """
     length: dict[str, Any] = {} if steps is None else {"max_steps": steps}
     return join(candidate("robots", robot, engine, **robot_settings), candidate("tasks", task), **length)

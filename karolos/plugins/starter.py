@@ -43,11 +43,12 @@ def write_starter(
     """
     if kind not in KINDS:
         raise UsageError(f"there is no starter for {kind!r}", hint=alternatives(kind, KINDS))
-    if not re.fullmatch(r"[a-z](_?[a-z0-9])*", name) or keyword.iskeyword(name) or len(name) > LONGEST:
+    reserved = keyword.iskeyword(name) or name in ("null", "true", "false")  # these are no names in YAML
+    if not re.fullmatch(r"[a-z](_?[a-z0-9])*", name) or reserved or len(name) > LONGEST:
         raise UsageError(
             f"{name!r} cannot be the name of a plugin",
             hint=f"at most {LONGEST} lower-case letters, digits and single underscores, beginning with a letter, not a "
-            "Python keyword",
+            "keyword of Python or YAML",
         )
     for other, package in _installed(kind):
         if other == name and package != f"karolos-{name.replace('_', '-')}":

@@ -158,7 +158,7 @@ class Arm:
                 raise UsageError(
                     what, setting="robot.gripper", hint=f"mount one (robot.gripper=robotiq_2f85), or {hint}"
                 )
-            raise PluginError(what, where=type(self).__name__, hint=hint)
+            raise UsageError(what, where=type(self).__name__, hint=hint)
         if self.settings.finger_opening and needs.gripper:
             what = "the task moves the gripper, so it cannot be held open"
             raise UsageError(what, setting="robot.finger_opening", hint="set it to 0")

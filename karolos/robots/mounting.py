@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from ..core import Array
-from ..errors import PluginError, UsageError
+from ..errors import UsageError
 from ..registry import load
 from ..simulation import urdf
 from ..simulation.geometry import Box, Vector
@@ -34,8 +34,7 @@ def mounted(model: ArmModel, name: str | None) -> ArmModel:
     With a foreign gripper it shrinks to the part that the tool reaches.
 
     Raises:
-        UsageError: the arm has no flange, or the gripper is too heavy for it.
-        PluginError: the gripper is unknown, or the arm cannot use it.
+        UsageError: the gripper is unknown, or the arm cannot use it.
     """
     own, flange = model.gripper, model.flange
     if flange is None or name is own is None:
@@ -113,7 +112,8 @@ def _reached(joints: tuple[Joint, ...], frames: tuple[Vector, Vector, float], ho
         if inner.contains(at.position) and all(_reaches(chain, joints, home, place, yaw) for place in corners):
             return inner
     hint = "it needs another home pose: a robot of its own, with its own `home` and `workspace`"
-    raise PluginError("with this gripper the tool reaches less than half of the workspace", hint=hint)
+    what = "with this gripper the tool reaches less than half of the workspace"
+    raise UsageError(what, setting="robot.gripper", hint=hint)
 
 
 def _reaches(

@@ -16,7 +16,7 @@ from pydantic import Field as Setting
 from ..core import Array
 from ..core.seeding import Generator, SeedTree
 from ..core.settings import LATER
-from ..errors import MachineError, PluginError
+from ..errors import MachineError, PluginError, UsageError
 from ..simulation.geometry import UPRIGHT, Quaternion, Vector, quaternion_of
 from ..simulation.parts import link_element, place_element
 from ..simulation.shapes import Capsule
@@ -119,7 +119,7 @@ def _model(arm: int, gripper: str | None, turning: bool = False) -> ArmModel:
 
     With `turning` the tool can also be turned in a part of the workspace.
 
-    Raises MachineError if there is no folder for caches, PluginError if none of the arms of this number can.
+    Raises MachineError if there is no folder for caches, UsageError if none of the arms of this number can.
     """
     source = hashlib.sha256(str(fingerprint(Path(__file__), follow=False)).encode()).hexdigest()[:12]
     try:
@@ -142,7 +142,7 @@ def _model(arm: int, gripper: str | None, turning: bool = False) -> ArmModel:
                 continue
             return model
         write_whole(refused, "", durable=False)
-    raise PluginError(f"none of {ATTEMPTS} sampled arms can work", setting="robot.arm", hint="choose another number")
+    raise UsageError(f"none of {ATTEMPTS} sampled arms can work", setting="robot.arm", hint="choose another number")
 
 
 def _draws(arm: int) -> Iterator[Generator]:

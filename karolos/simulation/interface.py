@@ -580,8 +580,7 @@ class Robot(RobotView, Protocol):
     def prepare(self, needs: TaskNeeds) -> None:
         """Adapt layouts and step sizes to a task.
 
-        Raises PluginError when the task needs a gripper and the robot has none, UsageError when its settings contradict
-        the task.
+        Raises UsageError when the task needs a gripper and the robot has none, or its settings contradict the task.
         """
 
     def build(self, world: World) -> None: ...

@@ -249,7 +249,7 @@ def _without_secrets(url: URL) -> str:
 
 def sqlite_url(path: Path) -> str:
     """The URL of a SQLite file, whose name may have any characters."""
-    return f"sqlite:///{path}".replace("%", "%25").replace("?", "%3F")
+    return f"sqlite:///{path.as_posix()}".replace("%", "%25").replace("?", "%3F")
 
 
 def _sqlite_file(url: URL) -> Path | None:

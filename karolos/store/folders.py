@@ -54,6 +54,13 @@ class _FoundFolder:
     problems: tuple[str, ...]
 
 
+def check_folder(runs: Path) -> None:
+    """Raise UsageError if there is no such folder."""
+    if not os.path.isdir(runs):
+        what = f"{runs} is not a folder" if os.path.lexists(runs) else f"there is no folder {runs}"
+        raise UsageError(what, hint="name the runs folder (--runs, in Python runs=)")
+
+
 def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | None, Reindexed | None]:
     """The index of a runs folder, or None if there are no runs. A missing one is rebuilt, with a report of that.
 
@@ -63,8 +70,8 @@ def open_index(runs: str | Path, database: str | None = None) -> tuple[Store | N
     read or written.
     """
     root = Path(runs)
-    if not os.path.isdir(root) and database is None and root != Path("runs"):
-        raise UsageError(f"there is no folder {runs}", hint="name the runs folder (--runs, in Python runs=)")
+    if database is None and (root != Path("runs") or root.exists()):
+        check_folder(root)
     url = database or Store.default_url(root)
     if Store.exists(url):
         return Store(url), None

@@ -11,7 +11,7 @@ from pydantic import Field as Setting
 from ..core import Field, FloatArray, Generator, Layout
 from ..core import Settings as BaseSettings
 from ..core.parameters import Drawn
-from ..errors import PluginError, UsageError
+from ..errors import UsageError
 from ..simulation.geometry import UPRIGHT, Colour, Quaternion, Vector, columns
 from ..simulation.interface import Ability, Box, Cup, Gripper, Material, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Shape
@@ -214,12 +214,11 @@ def check_pads(robot: RobotView, task: str, why: str) -> Gripper:
     """The robot's gripper with pads. `why`: its use in the task.
 
     Raises:
-        PluginError: the robot has no gripper.
-        UsageError: it is a suction cup.
+        UsageError: the robot has no gripper, or a suction cup.
     """
     gripper = robot.gripper
     if gripper is None:
-        raise PluginError("this robot has no gripper", where=type(robot).__name__, hint=f"{task} {why}")
+        raise UsageError("this robot has no gripper", where=type(robot).__name__, hint=f"{task} {why}")
     if isinstance(gripper, Cup):
         what = f"{task} {why}, which needs pads"
         raise UsageError(what, setting="robot.gripper", hint="choose one with fingers: franka_hand, robotiq_2f85")
@@ -230,8 +229,7 @@ def check_gripper(robot: RobotView, task: str, size: float) -> Gripper | Cup:
     """The robot's gripper, checked for an object of `size` m.
 
     Raises:
-        PluginError: the robot has no gripper.
-        UsageError: the object is too large or too small for it.
+        UsageError: the robot has no gripper, or the object is too large or too small for it.
     """
     if isinstance(robot.gripper, Cup):
         if size < 2 * robot.gripper.radius:

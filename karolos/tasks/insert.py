@@ -10,7 +10,7 @@ from pydantic import Field as Setting
 
 from ..core import Array, BoolArray, Expert, Field, FloatArray, Generator, Layout, Measure, Settings
 from ..core.parameters import Drawn, Probability
-from ..errors import PluginError, UsageError
+from ..errors import UsageError
 from ..simulation.geometry import Quaternion, Vector, inverse, multiply, rotated, rotation_about, rotation_vector
 from ..simulation.interface import Camera, RobotView, Task, World
 from ..simulation.shapes import Cuboid, Cylinder, Shape, inertia_of
@@ -188,7 +188,8 @@ class Insert(Task):
         self._opening = self.width / check_pads(robot, type(self).__name__, "holds a peg").width
         self.held_mass = self.settings.peg_mass
         if self._opening > 0.9:
-            raise PluginError(f"a peg of {self.width:g} m does not fit into the gripper", where=type(robot).__name__)
+            what = f"a peg of {self.width:g} m does not fit into the gripper"
+            raise UsageError(what, setting="robot.gripper", hint="choose one that opens wider, or another task.shape")
         if self.settings.shape != "round" and not (robot.orientations.tilt or robot.turns_joints):
             what = "these actions do not turn the tool, and the hole is turned"
             raise UsageError(what, setting="robot.control", hint="set robot.control: impedance, or task.shape: round")

@@ -92,6 +92,7 @@ def test_its_files_are_printed_and_the_folder_has_the_name_of_the_package(tmp_pa
         ("orchestrator", "x", "no starter for 'orchestrator'"),
         ("robot", "My-Arm", "cannot be the name"),
         ("robot", "class", "cannot be the name"),
+        ("distribution", "null", "not a keyword of Python or YAML"),
         ("robot", "../x", "cannot be the name"),
         ("robot", "a__b", "cannot be the name"),
         ("robot", "a" * 61, "at most 60 lower-case letters"),

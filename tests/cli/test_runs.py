@@ -137,6 +137,8 @@ def test_place_without_runs_lists_nothing_and_makes_nothing(tmp_path, monkeypatc
     assert "means no run: there are no runs in runs yet" in refused("show", "@last")
     assert list(tmp_path.iterdir()) == []
     assert "there is no folder elsewhere; name the runs folder" in refused("list", "--runs", "elsewhere")
+    (tmp_path / "runs").touch()
+    assert "runs is not a folder; name the runs folder" in refused("list", "--runs", "runs")
 
 
 @pytest.mark.parametrize("emptied", [Path.unlink, Path.write_bytes])

@@ -12,6 +12,8 @@ from support import toy_runs
 from support.fake_launcher import FakeLauncher
 from support.toy_runs import created
 
+from karolos import registry
+from karolos.errors import PluginError
 from karolos.experiment.events import RunBusy, RunEnded, RunEvent, RunFinalTested, RunStarted, RunTested, RunWarned
 from karolos.experiment.process import execute_folder
 from karolos.experiment.signals import StopRequest
@@ -52,6 +54,19 @@ def test_the_listener_hears_of_a_launched_run_what_it_hears_of_one_in_this_proce
     assert [(test.steps, test.end, test.returns) for test in tests] == [
         (test.steps, test.end, test.returns) for test in same
     ]
+
+
+class Failing(FakeLauncher):
+    def start(self, folder: Path) -> None:
+        raise ZeroDivisionError(folder.name)
+
+
+def test_the_error_of_another_packages_launcher_names_its_line(tmp_path, monkeypatch):
+    entry = registry.PluginEntry("launchers", "failing", f"{__name__}:Failing", "shaky", "1.0")
+    installed = *registry._installed(), entry
+    monkeypatch.setattr(registry, "_scan", lambda: (installed, ()))
+    with pytest.raises(PluginError, match=r"test_driver\.py:\d+: launcher 'failing' of shaky 1\.0: ZeroDivisionError"):
+        drive(tmp_path, Failing())
 
 
 def test_a_run_that_waits_on_a_cluster_stands_in_the_index(tmp_path):

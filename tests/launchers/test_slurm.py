@@ -109,3 +109,11 @@ def test_without_slurm_the_missing_command_is_named(monkeypatch):
     monkeypatch.setenv("PATH", "")
     with pytest.raises(MachineError, match="squeue is not installed"):
         SlurmLauncher(SlurmLauncher.Settings())
+
+
+def test_a_command_that_fails_or_cannot_be_run_is_named(slurm, tmp_path):
+    squeue = tmp_path / "bin" / "squeue"
+    for text, told in (("#!/bin/sh\nexit 3\n", "squeue ended with exit code 3$"), ("?", "squeue cannot be run: Exec")):
+        squeue.write_text(text)
+        with pytest.raises(MachineError, match=told):
+            SlurmLauncher(SlurmLauncher.Settings())

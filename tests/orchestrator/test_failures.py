@@ -256,6 +256,24 @@ def test_an_environment_that_raises_loses_its_episode_alone_and_is_built_anew_at
         assert built.read_text().count("built") == 6
 
 
+@every_layout
+def test_failures_that_come_with_a_raised_one_are_not_lost(layout):
+    with make(layout, failures=1) as orchestrator:
+        reset(orchestrator)
+        step(orchestrator, RAISE, FINE, FINE, FINE)
+        orchestrator.receive()
+        orchestrator.reset([0], [8])
+        orchestrator.receive()
+        step(orchestrator, RAISE, COMPLAIN, FINE, COMPLAIN)
+        with pytest.raises(WorkerError):
+            orchestrator.receive()
+        given_up = [3] if layout == IN_PROCESS else []  # elsewhere it may not have answered yet
+        orchestrator.reset(given_up, [8 for _ in given_up])
+        received = orchestrator.receive()
+        assert received.environment.tolist() == [2, *given_up]
+        assert received.failed.tolist() == ([1] if given_up else [1, 3])
+
+
 @pytest.mark.parametrize(("trouble", "name"), [(DIE, "SIGKILL"), (SEGFAULT, "SIGSEGV")])
 def test_a_worker_that_dies_is_replaced_and_its_neighbours_go_on(trouble, name):
     with make(TWO, failures=1) as orchestrator:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.fourth_robot import small_arm
 
-from karolos.errors import PluginError
+from karolos.errors import PluginError, UsageError
 from karolos.evaluation.playing import evaluate
 from karolos.evaluation.policies import expert_policy
 from karolos.plugins.contracts import Candidate, candidate, cases, robots
@@ -71,7 +71,7 @@ def test_a_robot_without_gripper_is_refused_where_one_is_needed_and_solves_the_r
         if task in (*TURNING, "slide"):  # see above; a puck rolls off a stick
             continue
         if load("tasks", task).uses_gripper:
-            with pytest.raises(PluginError, match="Small: this robot has no gripper"):
+            with pytest.raises(UsageError, match="Small: this robot has no gripper"):
                 join(bare, candidate("tasks", task))
             continue
         with joined(bare, candidate("tasks", task)) as made:

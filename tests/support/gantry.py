@@ -9,7 +9,7 @@ from pydantic import BaseModel
 from karolos.core import Field, FloatArray, Layout
 from karolos.core.parameters import RandomizedParameter
 from karolos.core.seeding import Generator
-from karolos.errors import PluginError, UsageError
+from karolos.errors import UsageError
 from karolos.simulation.geometry import Box, Orientations, Vector
 from karolos.simulation.interface import Ability, Body, Gripper, JointLimits, TaskNeeds, World
 from karolos.simulation.kinematics import Configuration, Pose
@@ -57,7 +57,7 @@ class Gantry:
 
     def prepare(self, needs: TaskNeeds) -> None:
         if needs.gripper:
-            raise PluginError("this robot has no gripper", where="Gantry")
+            raise UsageError("this robot has no gripper", where="Gantry")
         self.period = needs.period
 
     def build(self, world: World) -> None:

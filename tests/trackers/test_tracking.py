@@ -13,6 +13,7 @@ from support.toy_runs import run_of, toy
 
 from karolos.experiment import tracking
 from karolos.specification import spec_from_dict
+from karolos.store.database import sqlite_url
 
 TOY = toy(training={"steps": 60}, testing={"interval": 20})
 
@@ -23,8 +24,9 @@ def test_a_tracker_is_no_part_of_what_a_run_is():
 
 def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_nothing(tmp_path):
     tracking_of = pytest.importorskip("mlflow.tracking")
-    folder = run_of(toy(TOY, tracking="mlflow"), tmp_path)
-    client = tracking_of.MlflowClient(f"sqlite:///{tmp_path / 'mlflow.db'}")
+    runs = tmp_path / "a%20b?"
+    folder = run_of(toy(TOY, tracking="mlflow"), runs)
+    client = tracking_of.MlflowClient(sqlite_url(runs / "mlflow.db"))
     for _ in range(2):
         [run] = client.search_runs([client.get_experiment_by_name("karolos").experiment_id])
         assert (run.info.run_name, run.info.status) == (folder.id, "FINISHED")
@@ -33,7 +35,7 @@ def test_mlflow_holds_every_test_setting_and_file_and_a_second_time_changes_noth
         assert run.data.params["agent.hidden"] == "[8]"
         assert run.data.params["training.steps"] == "60"
         assert {one.path for one in client.list_artifacts(run.info.run_id)} == {*tracking.FILES} - {"spec.yaml"}
-        code, printed, _ = call(app, "runs", "push", folder.id, "--to", "mlflow", "--runs", str(tmp_path))
+        code, printed, _ = call(app, "runs", "push", folder.id, "--to", "mlflow", "--runs", str(runs))
         assert (code, printed.strip()) == (0, folder.id)
 
 

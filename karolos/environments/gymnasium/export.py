@@ -191,8 +191,7 @@ class RobotTaskEnv(GoalEnv):
             declares it.
 
     Raises:
-        UsageError: an undeclared setting, or an invalid value.
-        PluginError: robot and task are incompatible.
+        UsageError: an undeclared setting, or an invalid value; or robot and task are incompatible.
     """
 
     def __init__(
