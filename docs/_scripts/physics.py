@@ -242,10 +242,12 @@ def watched(environment: RobotTask, look: Callable[[], None]) -> Iterator[None]:
         for number in range(simulation.substeps):
             for part, rows in zip(motors, targets, strict=True):
                 part.targets = rows[number : number + 1]
+            simulation._arguments = None  # they hold the targets
             advance(motors)
             look()
         for part, rows in zip(motors, targets, strict=True):
             part.targets = rows
+        simulation._arguments = None
 
     simulation.advance = advance_and_look
     yield
