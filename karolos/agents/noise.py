@@ -13,7 +13,6 @@ from torch import Tensor
 
 from ..core import Settings as BaseSettings
 from ..core import State
-from ..errors import UsageError
 
 THETA = 0.15
 """Source: Lillicrap et al. 2015, section 7."""
@@ -114,9 +113,7 @@ class Noise:
         return {"memory": self._memory.clone(), "age": self._age.copy()}
 
     def load_state(self, state: State) -> None:
-        """Load a state. Raises UsageError if it belongs to noise of another kind or shape."""
         memory, age = torch.as_tensor(state["memory"]), np.array(state["age"], np.int64)
         if memory.shape[1:] != self._memory.shape[1:] or age.shape != memory.shape[:1]:
-            what = f"the stored noise has the shapes {tuple(memory.shape)} and {age.shape}, not those of this one"
-            raise UsageError(what, setting="agent.noise", hint="load it with the spec it was trained with")
+            raise ValueError(f"the noise has the shapes {tuple(memory.shape)} and {age.shape}")
         self._memory, self._age = memory.clone().to(self._memory.device), age

@@ -13,7 +13,6 @@ from karolos.agents.noise import Noise, NoiseSettings
 from karolos.agents.sac import SAC
 from karolos.agents.td3 import TD3
 from karolos.core import Agent
-from karolos.errors import UsageError
 
 ENVIRONMENTS = 2000
 
@@ -94,11 +93,6 @@ def test_exploring_goes_on_bit_for_bit_in_a_fresh_agent(agent, settings):
     second.load_state(first.state())
     for step in range(4, 9):
         np.testing.assert_array_equal(act(first, step), act(second, step))
-
-
-def test_noise_refuses_the_state_of_another_kind():
-    with pytest.raises(UsageError, match=r"^agent.noise: the stored noise .*; load it with the spec"):
-        make(kind="ornstein_uhlenbeck").load_state(make(kind="state_dependent").state())
 
 
 def test_sac_explores_with_the_spread_that_its_policy_gives():
