@@ -22,8 +22,6 @@ LAG, LAG_TIME = 0.015, 0.04
 """Largest distance of the start of a path from the read joint: this angle in rad, plus its way in this time in s."""
 JERK_TIME = 0.004
 """Time in s in which a joint reaches its largest acceleration."""
-CURVED = 0.01
-"""Height, in m, above the lowest one to aim at, from which on no way curves down as far: as in training."""
 CATCH_UP = 0.05
 """Time constant, in s, with which set points return to the path after limits."""
 
@@ -166,7 +164,8 @@ class Motion:
         else:
             place, rotation = self._changed(at, at.position, at.rotation, values, lowest)
         changes = self._towards(at, positions, place, rotation)
-        if place[2] < lowest + CURVED and place[2] < (raised := lowest + self._sinks(at, positions, changes)):
+        near = place[2] < lowest + control["tool_step"] / 2  # as in training
+        if near and place[2] < (raised := lowest + self._sinks(at, positions, changes)):
             changes = self._towards(at, positions, np.array([*place[:2], raised]), rotation)
         return changes
 
