@@ -120,7 +120,7 @@ class Motion:
         self.positions = np.clip(self.positions + cycle * (before + self.velocities) / 2, self.lower, self.upper)
 
     def _ramp(self, positions: Array, changes: Array) -> Array:
-        """Joint speeds (n,) at the end of a control step that changes the joints by `changes`: `Ramps` of karolos."""
+        """Joint speeds (n,) at the end of a control step that changes the joints by `changes`: `ramp` of karolos."""
         before, rise = self.velocities, self.acceleration * self.period
         wanted = np.clip(changes / self.period, -SPEED_SHARE * self.speed, SPEED_SHARE * self.speed)
         share = min(1.0, float((rise / np.maximum(np.abs(wanted - before), 1e-12)).min()))

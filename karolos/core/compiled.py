@@ -9,9 +9,9 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,7 @@ from llvmlite import binding
 from numba import njit, typeof
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, UserWideCacheLocator
 from numba.core.dispatcher import Dispatcher
+from numba.extending import register_jitable
 
 from ..errors import MachineError
 from ..system.files import FileLock, user_cache
@@ -34,6 +35,8 @@ OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
     """The function, compiled at its first call and kept on disk. One process compiles, and others load.
+
+    Its method `unchecked` returns it as a function that checks the types of the arguments in its first call only.
 
     Args:
         function: in the part of Python that numba compiles. A division by zero gives inf or nan.
@@ -60,16 +63,36 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
             lock.release()
 
     dispatcher.compile = compile_once
+    dispatcher.unchecked = partial(_unchecked, dispatcher)
     return dispatcher
 
 
-def machine_code(function: Any, arguments: Sequence[object]) -> Callable[..., Any]:
-    """A compiled function for arguments of these types, which calls do not check again. It has been called once.
+def share(*functions: Callable[..., Any]) -> None:
+    """Let compiled functions call these functions, too, which stay functions of Python and may call each other."""
+    for function in functions:
+        register_jitable(function)
+        _shared.add(function)
 
-    numba's check costs 2 us. Never call it with other types: it does not check the kind or order of an array's numbers.
+
+_shared: set[Callable[..., Any]] = set()
+
+
+def _unchecked(function: Any) -> Callable[..., Any]:
+    """A compiled function whose first call checks the types of the arguments, and no other call: numba's check is slow.
+
+    Never call it with other types later: it would not notice another kind or order of an array's numbers.
     """
-    code: Callable[..., Any] = function.get_overload(tuple(map(typeof, arguments)))
-    return code
+    code: Callable[..., Any] | None = None
+
+    def call(*arguments: object) -> Any:
+        nonlocal code
+        if code is not None:
+            return code(*arguments)
+        result = function(*arguments)
+        code = function.get_overload(tuple(map(typeof, arguments)))
+        return result
+
+    return call
 
 
 @cache
@@ -118,8 +141,8 @@ class _Locator(UserWideCacheLocator):
 
     def __init__(self, py_func: Any, py_file: str) -> None:
         super().__init__(py_func, py_file)
-        called = (one.py_func for one in py_func.__globals__.values() if isinstance(one, Dispatcher))
-        files = sorted({_digest(one.__code__.co_filename) for one in (py_func, *called)})
+        called = [one.py_func for one in py_func.__globals__.values() if isinstance(one, Dispatcher)]
+        files = sorted({_digest(one.__code__.co_filename) for one in (py_func, *called, *_shared)})
         machine = binding.get_host_cpu_name(), binding.get_host_cpu_features().flatten()
         key = hashlib.sha256(repr((numba.__version__, machine, files)).encode()).hexdigest()[:16]
         self._cache_path = str(cache_folder() / key)

@@ -32,8 +32,8 @@ from ..evaluation.playing import play
 from ..evaluation.policies import Policy, SavedAgent, environment_of, load_agent, playable
 from ..records import RunFolder, provenance
 from ..report.video import write_film
-from ..robots.arm import POSTURE_GAIN, Arm
-from ..robots.control import MOST_ROOM
+from ..robots.arm import Arm
+from ..robots.control import MOST_ROOM, POSTURE_GAIN
 from ..robots.protective_stop import ProtectiveStop
 from ..simulation.geometry import matrix_of
 from ..simulation.interface import Task

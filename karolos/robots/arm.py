@@ -23,15 +23,12 @@ from ..simulation.geometry import Orientations, Quaternion, Vector, quaternion_o
 from ..simulation.interface import OPENS, Ability, Body, Cup, Gripper, JointLimits, TaskNeeds, World
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
-from .control import CONTROLS, ROTATION, Control, Way
-from .model import ArmModel, arm_joints, check_model
+from .control import CONTROLS, POSTURE_GAIN, ROTATION, Control, Way
+from .model import ACCELERATION_TIME, ArmModel, arm_joints, check_model
 from .mounting import mounted
 from .protective_stop import Guard, ProtectiveStop
-from .ramps import ACCELERATION_TIME, Ramps
 from .settings import ArmSettings
 
-POSTURE_GAIN = 0.1
-"""Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
 INNER_FACE_COSINE = 0.9
 """Smallest cosine between the normal of a contact and the axis along which the pads face each other."""
 PLACE_TOLERANCE = 5e-4
@@ -287,7 +284,6 @@ class Arm:
         # a welded finger has no link
         pairs = [(links[first], links[second]) for first, second in named if first in links and second in links]
         self.body.collide_only(pairs)
-        self.ramps = Ramps(self.limits, world.period, self.accelerations, (self.chain, self.tool_speed))
         arm = [joint.child for joint in self._joints]
         tool = self.model.tool, quaternion_of(urdf.rotation_matrix(*self.model.tool_rpy))
         fingers, cup = (self.model.fingers, self.model.cup) if self._grip is not None else (None, None)
@@ -330,7 +326,6 @@ class Arm:
     def _place(self, positions: Array, opening: float, command: float) -> None:
         """Place the joints there at rest, within their limits, and the gripper at `opening` with this command."""
         positions = self._clipped(positions)
-        self.ramps.reset(positions)
         self.motors.write(positions, opening)
         self.opening_command = command
         self._opens = False
@@ -376,6 +371,10 @@ class Arm:
         """A pose of the tool, by default pointing down as at home."""
         return downward(position, self.home_yaw) if orientation is None else Pose.at(position, orientation)
 
+    @property
+    def steps_down(self) -> float:
+        return self.model.steps_down
+
     def posture(self, joints: Array) -> Array:
         """Changes of the joints (n,) in rad that inverse kinematics prefers: back towards the home pose."""
         return POSTURE_GAIN * (self._rest - joints)
@@ -399,16 +398,6 @@ class Arm:
         now = {step: value for step, value in self._told if step < substeps}
         self._told = [(step - substeps, value) for step, value in self._told if step >= substeps]
         return now
-
-    def lowest(self) -> float:
-        """Lowest height to aim at, so that the tool comes to rest at the lower end of the workspace and not below.
-
-        A control step moves the tool by the mean of its speeds before and after. Afterwards the step s may be as long
-        as the distance that is then left: s = d - (v T + s) / 2. This would be a factor of 1.5 for `steps_down`. With
-        2, joints that also turn for a motion sideways keep enough of their accelerations to brake.
-        """
-        low, z, speed = self.workspace.low[2], self.tool_position[2], min(self.tool_velocity[2], 0.0)
-        return max(low, z - (z - low + speed * self.period / 2) / self.model.steps_down)
 
     def _timed(self, opening: float) -> tuple[float, float]:
         """The gripper's command in this control step, and the fraction of the step after which it is given.
@@ -465,9 +454,9 @@ class Arm:
     def _read(self) -> None:
         self._pressing = None
         self.joint_positions, self.joint_velocities, self.opening = self.motors.read()
-        self.configuration = self.chain.forward(self.joint_positions)
+        motion = self.chain.motion(self.joint_positions, self.joint_velocities)
+        self.configuration, self.tool_velocity, self.tool_spin = motion
         self.tool_position = self.configuration.tool.position
-        self.tool_velocity = self.chain.velocity(self.configuration, self.joint_velocities)
 
     def observe(self) -> list[float]:
         values = self._control.observe()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib import import_module
 from math import atan2, cos, hypot, sin
-from typing import ClassVar, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple, Protocol
 
 import numpy as np
 
@@ -19,10 +20,10 @@ from ..simulation.geometry import (
     rotated,
     rotation_about,
     rotation_vector,
+    vector,
 )
 from ..simulation.interface import Box, JointLimits, Motors, Spring
-from ..simulation.kinematics import Chain, Configuration, Pose, downward
-from .ramps import Ramps
+from ..simulation.kinematics import Chain, Configuration, Pose
 from .settings import ArmSettings
 
 POSITION = Field("tool_position", 3, "m", kind="point")
@@ -31,6 +32,10 @@ ROTATION = Field("tool_rotation", 6, kind="rotation")
 VELOCITY = Field("tool_velocity", 3, "m/s", kind="vector")
 SPIN = Field("tool_angular_velocity", 3, "rad/s", kind="axial")
 CHANGE = Field("tool_position_change", 3, kind="vector")
+POSTURE_GAIN = 0.1
+"""Fraction of the way back to the home pose, per control step, that inverse kinematics takes in the null space."""
+TOOL_SPEED_SHARE = 0.98
+"""Fraction of the tool's largest speed at the end of a control step. The rest is for the motion inside the step."""
 MOST_ROOM = 10.0
 """Joint steps; a joint that is farther from the end of its range is described as if it were so near."""
 
@@ -49,19 +54,19 @@ class ControlledArm(Protocol):
     tool_step: float
     joint_step: tuple[float, ...]
     accelerations: tuple[float, ...]
+    tool_speed: float
     motors: Motors
-    ramps: Ramps
     configuration: Configuration
     joint_positions: Array
     joint_velocities: Array
     tool_position: Vector
     tool_velocity: Vector
+    tool_spin: Vector
+
+    @property
+    def steps_down(self) -> float: ...
 
     def value(self, name: str) -> float: ...
-
-    def posture(self, joints: Array) -> Array: ...
-
-    def lowest(self) -> float: ...
 
 
 class Way(NamedTuple):
@@ -83,6 +88,7 @@ class Control:
         observed: observed fields of the tool.
         observed_joints: observed fields of the joints.
         action: fields of the action, without the gripper.
+        kernel: name of the function that turns actions into ramps, in `control_kernel`, which explains both.
     """
 
     turns_joints: ClassVar[bool] = False
@@ -90,6 +96,7 @@ class Control:
     observed: tuple[Field, ...] = (POSITION, VELOCITY)
     observed_joints: tuple[Field, ...] = ()
     action: tuple[Field, ...]
+    kernel: ClassVar[str]
 
     def __init__(self, arm: ControlledArm) -> None:
         self.arm = arm
@@ -107,21 +114,46 @@ class Control:
         }
 
     def build(self) -> None:
-        """Set up the motors of a loaded arm."""
+        """Set up the motors of a loaded arm, and what the compiled code needs."""
+        arm, settings = self.arm, self.arm.settings
+        self._kernel: Any = (kernel := import_module(".control_kernel", __package__))  # heavy, so it is imported here
+        limits, turns = arm.limits, arm.orientations
+        rows = limits.lower, limits.upper, limits.velocity, arm.accelerations, arm.joint_step, arm.home_joints
+        self._joints = np.array(rows)
+        self._state = np.zeros((2, arm.chain.size))
+        self._ramp = getattr(kernel, self.kernel).unchecked()
+        self._law = kernel.Law(
+            period=arm.period,
+            most=TOOL_SPEED_SHARE * arm.tool_speed,
+            damping=arm.chain.damping,
+            gain=POSTURE_GAIN,
+            steps_down=float(arm.steps_down),
+            low=vector(arm.workspace.low),
+            high=vector(arm.workspace.high),
+            tool_step=arm.tool_step,
+            turn_step=settings.turn_step,
+            own_frame=settings.frame == "tool",
+            yaw=arm.home_yaw,
+            yaw_step=settings.yaw_step if settings.yaw else 0.0,
+            middle=turns.middle,
+            tilt=float(turns.tilt),
+            turn=float(turns.turn),
+        )
 
     def reset(self) -> None:
         """Begin an episode, with the joints in their places and at rest."""
-
-    def changes(self, values: Sequence[float]) -> Array:
-        """Changes of the joints (n,) in rad that an action means, its numbers in [-1, 1]."""
-        raise NotImplementedError
+        self._state[:] = self.arm.joint_positions, np.zeros(self.arm.chain.size)
 
     def act(self, values: Sequence[float], openings: Mapping[int, float]) -> None:
-        """Aim the motors for one control step: joints on ramps of their speeds, the gripper as `Motors.drive` says."""
-        arm = self.arm
-        changes = self.changes(values)
-        ramp = arm.ramps.ramp(arm.joint_positions, arm.joint_velocities, changes, arm.configuration)
-        arm.motors.drive(ramp, openings)
+        """Aim the motors for one control step: joints on ramps of their speeds, the gripper as `Motors.drive` says.
+
+        The numbers of an action are in [-1, 1].
+        """
+        arm, chain = self.arm, self.arm.chain
+        ramps, numbers = np.empty((2, chain.size)), arm.configuration.numbers
+        where = self._law, self._joints, chain.base, chain.links, self._state
+        self._ramp(*where, arm.joint_positions, arm.joint_velocities, numbers, np.array(values), ramps)
+        arm.motors.drive(ramps, openings)
 
     def observe(self) -> list[float]:
         """The numbers of `observed`."""
@@ -135,36 +167,6 @@ class Control:
         """The action that leads along a way."""
         raise NotImplementedError
 
-    def _within_steps(self, target: Pose) -> Array:
-        """Change of the joints (n,) towards a pose of the tool, scaled down so that no joint exceeds its step.
-
-        Near the lower end of the workspace the target is raised by what the way there curves down.
-        """
-        arm, (x, y, z) = self.arm, target.position
-        posture, lowest = arm.posture(arm.joint_positions), arm.lowest()
-        changes = arm.chain.step(arm.configuration, target, posture, self._most)
-        # with steps of 3.4 cm at most 7 mm were measured (a UR5, full actions), so half a step is near enough to look
-        if z < lowest + arm.tool_step / 2 and z < (raised := lowest + self._sinks(changes)):
-            changes = arm.chain.step(arm.configuration, target._replace(position=(x, y, raised)), posture, self._most)
-        return changes
-
-    def _sinks(self, changes: Array) -> float:
-        """How far in m the tool comes to rest below a straight way, because joints that turn lead it on a curve.
-
-        It is twice the distance at the end of the step: the tool then moves down, and the next step takes as long to
-        brake it.
-        """
-        arm, half, speeds = self.arm, self.arm.period / 2, changes / self.arm.period
-        end = arm.chain.forward(arm.joint_positions + half * (arm.joint_velocities + speeds)).tool.position[2]
-        fall = arm.tool_velocity[2] + arm.chain.velocity(arm.configuration, speeds)[2]
-        return 2 * (arm.tool_position[2] + half * fall - end)
-
-    def _ahead(self, start: Vector, change: Sequence[float], low_z: float) -> Vector:
-        """The position that is `change` m away from `start`, inside the workspace and not lower than `low_z`."""
-        (low_x, low_y, _), (high_x, high_y, high_z) = self.arm.workspace.low, self.arm.workspace.high
-        (x, y, z), (dx, dy, dz) = start, change
-        return min(max(x + dx, low_x), high_x), min(max(y + dy, low_y), high_y), min(max(z + dz, low_z), high_z)
-
 
 class JointControl(Control):
     """An action changes each joint position, in units of the joint step.
@@ -173,7 +175,7 @@ class JointControl(Control):
     by what it does now, not by its angle, whose zero is arbitrary. Places without a joint are 0. Actions ignore them.
     """
 
-    turns_joints = True
+    turns_joints, kernel = True, "turn_joints"
 
     def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
@@ -198,9 +200,6 @@ class JointControl(Control):
             described("joint_speeds", "joint steps"),
             described("joint_accelerations", "joint steps"),
         )
-
-    def changes(self, values: Sequence[float]) -> Array:
-        return self._most * values[: len(self._most)]
 
     def observe_joints(self) -> Sequence[float]:
         arm = self.arm
@@ -229,7 +228,7 @@ class JointControl(Control):
 class CartesianControl(Control):
     """An action changes the position of the tool, which points down, and with the setting `yaw` its yaw."""
 
-    turns_tool = False
+    turns_tool, kernel = False, "move_tool"
 
     def __init__(self, arm: ControlledArm) -> None:
         super().__init__(arm)
@@ -238,13 +237,6 @@ class CartesianControl(Control):
         if self._yaws:
             self.action += (Field("yaw_change", 1, kind="axial"),)
             self.observed += (Field("tool_heading", 2, kind="vector"),)  # cosine and sine: an angle would jump
-
-    def changes(self, values: Sequence[float]) -> Array:
-        arm = self.arm
-        step = arm.tool_step
-        change = step * values[0], step * values[1], step * values[2]
-        yaw = self._yaw() + arm.settings.yaw_step * values[3] if self._yaws else arm.home_yaw
-        return self._within_steps(downward(self._ahead(arm.tool_position, change, arm.lowest()), yaw))
 
     def observe(self) -> list[float]:
         values = super().observe()
@@ -277,31 +269,11 @@ class PoseControl(Control):
 
     observed: tuple[Field, ...] = (POSITION, ROTATION, VELOCITY, SPIN)
     action: tuple[Field, ...] = (CHANGE, Field("tool_turn", 3, kind="axial"))
-
-    def changes(self, values: Sequence[float]) -> Array:
-        tool = self.arm.configuration.tool
-        return self._within_steps(Pose.at(*self._changed(tool.position, tool.orientation, values, self.arm.lowest())))
-
-    def _changed(
-        self, position: Vector, orientation: Quaternion, values: Sequence[float], low_z: float
-    ) -> tuple[Vector, Quaternion]:
-        """The pose that an action makes of this one."""
-        arm = self.arm
-        shift, turn = [arm.tool_step * value for value in values[:3]], self._turn(values[3:6])
-        if arm.settings.frame == "tool":
-            own = arm.configuration.tool.orientation
-            shift, turn = list(rotated(own, shift)), rotated(own, turn)
-        turned = multiply(rotation_about(turn), orientation)
-        return self._ahead(position, shift, low_z), arm.orientations.nearest(turned)
-
-    def _turn(self, values: Sequence[float]) -> Vector:
-        x, y, z = (self.arm.settings.turn_step * value for value in values)
-        return x, y, z
+    kernel = "move_pose"
 
     def observe(self) -> list[float]:
-        arm = self.arm
-        tool, spin = arm.configuration.tool, arm.chain.spin(arm.configuration, arm.joint_velocities)
-        return [*tool.position, *tool.x, *tool.y, *arm.tool_velocity, *spin]
+        arm, tool = self.arm, self.arm.configuration.tool
+        return [*tool.position, *tool.x, *tool.y, *arm.tool_velocity, *arm.tool_spin]
 
     def towards(self, way: Way) -> list[float]:
         return self._way(self.arm.configuration.tool, way.target, way.slower)
@@ -339,6 +311,7 @@ class ImpedanceControl(PoseControl):
             self.action = (*PoseControl.action, Field("stiffness", 1, kind="scalar"))
 
     def build(self) -> None:
+        super().build()
         self._attach(self.arm.settings.stiffness)
 
     def _attach(self, stiffness: float) -> None:
@@ -362,8 +335,9 @@ class ImpedanceControl(PoseControl):
             low, high = arm.settings.stiffness_range
             self._attach(low * (high / low) ** (0.5 + 0.5 * values[6]))
         self._cut()
-        (x, y, z), orientation = self._position, self._orientation
-        self._position, self._orientation = self._changed((x, y, z), orientation, values, arm.workspace.low[2])
+        (x, y, z), orientation, own = self._position, self._orientation, arm.configuration.tool.orientation
+        changed = self._kernel.changed(self._law, (x, y, z), orientation, own, np.array(values), arm.workspace.low[2])
+        self._position, self._orientation = changed
         self._cut()
         (end_x, end_y, end_z), (a, b, c) = self._position, self._turned(orientation)
         speed = (end_x - x) / arm.period, (end_y - y) / arm.period, (end_z - z) / arm.period

@@ -10,7 +10,7 @@ import numpy as np
 from ..core import Array
 from ..simulation import urdf
 from ..simulation.interface import GRAVITY
-from .ramps import ACCELERATION_TIME
+from .model import ACCELERATION_TIME
 
 SHARE = 0.95
 """Fraction of a motor's largest torque for gravity and accelerations. The rest is for Coriolis forces."""

@@ -12,6 +12,8 @@ from ..simulation.geometry import Box, Vector
 from ..simulation.interface import Cup, Fingers
 from ..simulation.urdf import Description, Joint, Mount
 
+ACCELERATION_TIME = 1 / 24
+"""Seconds in which a joint changes its speed by its largest speed, if no acceleration of the data sheet is used."""
 FINGERS = "fingers"
 """Name in `ArmModel.self_collisions` for each finger of the mounted gripper."""
 

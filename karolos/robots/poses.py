@@ -15,7 +15,7 @@ from ..core.seeding import SeedTree
 from ..simulation.geometry import Box, Orientations, Quaternion, Vector
 from ..simulation.kinematics import Chain, Pose, Stride, downward
 from ..simulation.urdf import Joint, about
-from .arm import POSTURE_GAIN
+from .control import POSTURE_GAIN
 from .model import ArmModel
 
 STARTS = 6

@@ -78,6 +78,21 @@ def velocity(numbers, rates):
 
 
 @compiled
+def motion(base, links, positions, rates, numbers):
+    """`forward`, the tool's pose as four tuples, its `velocity`, and its angular velocity in rad/s."""
+    forward(base, links, positions, numbers)
+    sx = sy = sz = 0.0
+    for joint in range(len(rates)):
+        place, rate = POSE + 6 * joint, rates[joint]
+        sx += rate * numbers[place + 3]
+        sy += rate * numbers[place + 4]
+        sz += rate * numbers[place + 5]
+    x = numbers
+    tool = (x[0], x[1], x[2]), (x[3], x[4], x[5]), (x[6], x[7], x[8]), (x[9], x[10], x[11])
+    return tool, velocity(numbers, rates), (sx, sy, sz)
+
+
+@compiled
 def step(numbers, target, posture, damping, most, change):
     """Write one step of damped least squares towards the pose `target` (12,) into `change` (n,); see `Chain.step`."""
     n = len(posture)

@@ -1,4 +1,7 @@
-"""Vectors, rotations and boxes. Units: m and rad; quaternions x y z w."""
+"""Vectors, rotations and boxes. Units: m and rad; quaternions x y z w.
+
+Compiled code calls these functions of rotations, too (see `control_kernel`), so they only use what numba compiles.
+"""
 
 from __future__ import annotations
 
@@ -78,24 +81,31 @@ class Orientations:
 
     def at(self, tilt_x: float, tilt_y: float, turn: float) -> Quaternion:
         """The orientation turned by `turn` rad, then tilted by the rotation vector (tilt_x, tilt_y, 0) in rad."""
-        return multiply(rotation_about((tilt_x, tilt_y, 0.0)), multiply(rotation_about((0.0, 0.0, turn)), self.middle))
+        return tilted(self.middle, tilt_x, tilt_y, turn)
 
-    def parts(self, orientation: Quaternion) -> Vector:
-        """tilt_x, tilt_y and turn of an orientation, the arguments of `at`."""
-        x, y, z, w = multiply(orientation, inverse(self.middle))
-        turn = 2 * atan2(z, w)
-        turn -= 2 * pi * round(turn / (2 * pi))
-        tilt_x, tilt_y, _ = rotation_vector(multiply((x, y, z, w), rotation_about((0.0, 0.0, -turn))))
-        return tilt_x, tilt_y, turn
 
-    def nearest(self, orientation: Quaternion) -> Quaternion:
-        """The orientation itself, or turned and tilted no further than allowed."""
-        tilt_x, tilt_y, turn = self.parts(orientation)
-        tilt = hypot(tilt_x, tilt_y)
-        if tilt <= self.tilt and abs(turn) <= self.turn:
-            return orientation
-        share = min(1.0, self.tilt / max(tilt, 1e-12))
-        return self.at(share * tilt_x, share * tilt_y, min(max(turn, -self.turn), self.turn))
+def tilted(middle: Quaternion, tilt_x: float, tilt_y: float, turn: float) -> Quaternion:
+    """`middle`, turned about the vertical by `turn` rad, then tilted by the rotation vector (tilt_x, tilt_y, 0)."""
+    return multiply(rotation_about((tilt_x, tilt_y, 0.0)), multiply(rotation_about((0.0, 0.0, turn)), middle))
+
+
+def tilt_and_turn(middle: Quaternion, orientation: Quaternion) -> Vector:
+    """tilt_x, tilt_y and turn in rad with which `tilted` gives this orientation."""
+    x, y, z, w = multiply(orientation, inverse(middle))
+    turn = 2 * atan2(z, w)
+    turn -= 2 * pi * round(turn / (2 * pi))
+    tilt_x, tilt_y, _ = rotation_vector(multiply((x, y, z, w), rotation_about((0.0, 0.0, -turn))))
+    return tilt_x, tilt_y, turn
+
+
+def nearest(middle: Quaternion, most_tilt: float, most_turn: float, orientation: Quaternion) -> Quaternion:
+    """The orientation itself, or turned and tilted no further than allowed, in rad; see `Orientations`."""
+    tilt_x, tilt_y, turn = tilt_and_turn(middle, orientation)
+    tilt = hypot(tilt_x, tilt_y)
+    if tilt <= most_tilt and abs(turn) <= most_turn:
+        return orientation
+    share = min(1.0, most_tilt / max(tilt, 1e-12))
+    return tilted(middle, share * tilt_x, share * tilt_y, min(max(turn, -most_turn), most_turn))
 
 
 def multiply(first: Quaternion, second: Quaternion) -> Quaternion:
@@ -117,7 +127,7 @@ def inverse(rotation: Quaternion) -> Quaternion:
 def rotation_about(vector: Sequence[float]) -> Quaternion:
     """The rotation by a rotation vector: its direction is the axis, its length the angle in rad."""
     x, y, z = vector
-    angle = hypot(x, y, z)
+    angle = sqrt(x * x + y * y + z * z)
     share = sin(angle / 2) / angle if angle > 0 else 0.5
     return share * x, share * y, share * z, cos(angle / 2)
 
@@ -125,7 +135,7 @@ def rotation_about(vector: Sequence[float]) -> Quaternion:
 def rotation_vector(rotation: Quaternion) -> Vector:
     """The rotation vector, of at most pi rad, of a rotation."""
     x, y, z, w = rotation
-    size = hypot(x, y, z)
+    size = sqrt(x * x + y * y + z * z)
     share = 2 * atan2(size, abs(w)) / size if size > 0 else 2.0
     share = -share if w < 0 else share
     return share * x, share * y, share * z
@@ -165,14 +175,16 @@ def from_axes(x: Vector, y: Vector, z: Vector) -> Quaternion:
     """The rotation that turns the world's axes into these unit vectors; w is not negative."""
     (a, d, g), (b, e, h), (c, f, i) = x, y, z  # the rows of the matrix are a b c, d e f, g h i
     # the four components, each multiplied by the largest one: Shepperd 1978, Quaternion from Rotation Matrix
-    candidates = (
-        (1 + a - e - i, b + d, c + g, h - f),
-        (b + d, 1 - a + e - i, f + h, c - g),
-        (c + g, f + h, 1 - a - e + i, d - b),
-        (h - f, c - g, d - b, 1 + a + e + i),
-    )
-    best = max(range(4), key=lambda place: candidates[place][place])
-    p, q, r, s = candidates[best]
+    p, q, r, s = 1 + a - e - i, 1 - a + e - i, 1 - a - e + i, 1 + a + e + i
+    largest = max(p, q, r, s)
+    if p == largest:
+        q, r, s = b + d, c + g, h - f
+    elif q == largest:
+        p, r, s = b + d, f + h, c - g
+    elif r == largest:
+        p, q, s = c + g, f + h, d - b
+    else:
+        p, q, r = h - f, c - g, d - b
     size = copysign(sqrt(p * p + q * q + r * r + s * s), s)
     return p / size, q / size, r / size, s / size
 

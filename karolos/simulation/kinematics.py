@@ -112,6 +112,7 @@ class Chain:
         self.base = np.array(base, float)
         self._unlimited = np.full(self.size, np.inf)
         self._kernel = import_module(".arm_kernel", __package__)  # heavy, so it is imported when an arm is built
+        self._motion = self._kernel.motion.unchecked()
 
     def forward(self, positions: Numbers) -> Configuration:
         """The chain at joint positions (n,) in rad."""
@@ -125,10 +126,14 @@ class Chain:
         velocity: Vector = self._kernel.velocity(at.numbers, self._per_joint(rates))
         return velocity
 
-    def spin(self, at: Configuration, rates: Numbers) -> Vector:
-        """Angular velocity of the tool in rad/s when the joints turn at rates (n,) in rad/s."""
-        x, y, z = (self._per_joint(rates) @ at.axes.reshape(-1, 6)[:, 3:]).tolist()
-        return x, y, z
+    def motion(self, positions: Array, rates: Array) -> tuple[Configuration, Vector, Vector]:
+        """The chain at joint positions (n,) in rad, and the velocity and angular velocity of its tool, m/s and rad/s.
+
+        The joints turn at `rates` (n,) in rad/s. Both are arrays of float64 in one piece.
+        """
+        numbers = np.empty(12 + 6 * self.size)
+        tool, velocity, spin = self._motion(self.base, self.links, positions, rates, numbers)
+        return Configuration(Pose(*tool), numbers), velocity, spin
 
     def jacobian(self, at: Configuration) -> Array:
         """(6, n): velocity of the tool in m/s, then its angular velocity in rad/s, per rad/s of each joint."""

@@ -49,14 +49,19 @@ class PointGoal(GoalRule):
         return self.distance(achieved, desired)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        difference = achieved[..., self.place] - desired[..., self.place]
-        near: BoolArray = np.vecdot(difference, difference) < self._squared
+        near: BoolArray = self._squares(achieved, desired) < self._squared
         return near
 
     def distance(self, achieved: Array, desired: Array) -> FloatArray:
-        difference = achieved[..., self.place] - desired[..., self.place]
-        metres: FloatArray = np.sqrt(np.vecdot(difference, difference), dtype=np.float32)
+        metres: FloatArray = np.sqrt(self._squares(achieved, desired), dtype=np.float32)
         return metres
+
+    def _squares(self, achieved: Array, desired: Array) -> Array:
+        """The square of the distance in m2: shape (...)."""
+        difference = achieved[..., self.place] - desired[..., self.place]
+        # vecdot takes three times as long for a step of an environment
+        squares: Array = difference.dot(difference) if difference.ndim == 1 else np.vecdot(difference, difference)
+        return squares
 
 
 class Places(PointGoal):

@@ -85,7 +85,7 @@ class PoseGoal(PointGoal):
         return np.asarray(lost, np.float32)
 
     def success(self, achieved: Array, desired: Array) -> BoolArray:
-        near = np.asarray(self.distance(achieved, desired) < self.threshold)
+        near = super().success(achieved, desired)
         return near & (self.angle(achieved, desired) < self.angle_threshold) if near.any() else near
 
     def angle(self, achieved: Array, desired: Array) -> FloatArray:

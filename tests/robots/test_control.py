@@ -1,5 +1,6 @@
 """Joint control for arms of several numbers of joints, and ramps of joint speeds near the end of a range."""
 
+from math import inf
 from typing import Any
 
 import numpy as np
@@ -13,8 +14,7 @@ from karolos.environments.build import Facts
 from karolos.environments.robot_task import RobotTask
 from karolos.errors import UsageError
 from karolos.robots.arm import Arm
-from karolos.robots.ramps import Ramps
-from karolos.simulation.interface import JointLimits
+from karolos.robots.control_kernel import ramp
 
 SLOTS = {"control": "joint", "joint_slots": 8, "observe": ["rotation"]}
 
@@ -90,13 +90,16 @@ def test_a_mirror_changes_what_joints_do_to_the_tool_and_no_action():
 @pytest.mark.parametrize("share", [1.0, 0.5, 0.25, 0.1])
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_a_joint_that_brakes_slowly_stops_inside_its_range(share, sign):
-    speed, period = 2.0, 1 / 24
-    ramps = Ramps(JointLimits((-1.5,), (1.5,), (speed,), (50.0,), ("joint",)), period, (24 * speed * share,))
+    speed, period, ramps = 2.0, 1 / 24, np.empty((2, 1))
+    joint = np.array([[-1.5], [1.5], [speed], [24 * speed * share], [speed * period], [0.0]])
+    chain = np.zeros(3), np.zeros((2, 12))
     for room in np.linspace(0.05, 2.0, 40):  # it begins to brake at other speeds, elsewhere in a control step
         at, velocity = sign * (1.5 - room), 0.0
-        ramps.reset([at])
+        state = np.array([[at], [0.0]])
         for _ in range(120):
-            _, (end,) = ramps.ramp(*(np.array([one]) for one in (at, velocity, sign * speed * period)))
+            now = (np.array([one]) for one in (at, velocity))
+            ramp(period, inf, joint, *chain, state, *now, np.zeros(18), np.array([sign * speed * period]), ramps)
+            end = ramps[1, 0]
             assert abs(end - velocity) <= 24 * speed * share * period + 1e-9
             at, velocity = at + (velocity + end) / 2 * period, end
             assert sign * at < 1.5 or (sign * velocity < 0.02 * speed and sign * at < 1.506), "it meets no hard stop"

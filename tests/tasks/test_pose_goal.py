@@ -10,16 +10,18 @@ from pydantic import ValidationError
 from support.rig import made, part
 
 from karolos.simulation.geometry import (
-    Orientations,
     angles,
     axes,
     columns,
     from_axes,
     inverse,
     multiply,
+    nearest,
     rotated,
     rotation_about,
     rotation_vector,
+    tilt_and_turn,
+    tilted,
 )
 from karolos.tasks.pose_goal import PoseGoal, pose_array
 
@@ -42,9 +44,9 @@ def test_rotations_are_those_of_their_matrices(one, other):
 
 @given(st.floats(-0.6, 0.6), st.floats(-0.6, 0.6), st.floats(-2, 2), short)
 def test_orientations_are_cut_to_their_range(x, y, turn, middle):
-    around = Orientations(rotation_about(middle), 0.3, 0.8)
-    np.testing.assert_allclose(around.parts(around.at(x, y, turn)), (x, y, turn), atol=1e-9)
-    tilt_x, tilt_y, turned = around.parts(around.nearest(around.at(x, y, turn)))
+    around = rotation_about(middle)
+    np.testing.assert_allclose(tilt_and_turn(around, tilted(around, x, y, turn)), (x, y, turn), atol=1e-9)
+    tilt_x, tilt_y, turned = tilt_and_turn(around, nearest(around, 0.3, 0.8, tilted(around, x, y, turn)))
     tilt = np.hypot(x, y)
     np.testing.assert_allclose(np.hypot(tilt_x, tilt_y), min(tilt, 0.3), atol=1e-9)
     np.testing.assert_allclose(turned, np.clip(turn, -0.8, 0.8), atol=1e-9)

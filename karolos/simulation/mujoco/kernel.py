@@ -8,7 +8,6 @@ numba compiles it, without a compiler on the machine, and `compiled` keeps it on
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +21,7 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from ...core import FloatArray
-from ...core.compiled import compiled, machine_code
+from ...core.compiled import compiled
 from ...errors import MachineError
 
 SIZES = {"int": 4, "mjtBool": 1, "mjtByte": 1, "float": 4}
@@ -579,8 +578,3 @@ def advance(model, data, layout, h, positions, velocities, driven, touching, loa
     for joint in places[:, 1]:
         loads[1, joint] = max(loads[1, joint], abs(velocities[joint] - before[joint]) / (steps * h))
     _integrate(model, positions.ctypes.data, velocities.ctypes.data, -h / 2)
-
-
-def advance_code(arguments: Sequence[object]) -> Callable[..., None]:
-    """The machine code of `advance` for arguments of these types, as `machine_code` says."""
-    return machine_code(advance, arguments)

@@ -93,8 +93,7 @@ class Simulation:
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
-        self._advance: Callable[..., None] | None = None
-        """The machine code of `kernel.advance` for this structure, from its first call on."""
+        self._advance = self.kernel.advance.unchecked()
         self._arguments: tuple[Any, ...] | None = None
         self.stepped = False
         """Whether forces and contacts are valid: no state was written since they were computed."""
@@ -138,11 +137,7 @@ class Simulation:
         self.ready()
         if self._arguments is None or len(motors) != 1:  # the copies that several motors need are not kept
             self._arguments = self._gather(motors)
-        if self._advance is None:
-            self.kernel.advance(*self._arguments)
-            self._advance = self.kernel.advance_code(self._arguments)
-        else:
-            self._advance(*self._arguments)
+        self._advance(*self._arguments)
         self.stepped = True
 
     def _gather(self, motors: Sequence[Any]) -> tuple[Any, ...]:
@@ -219,7 +214,7 @@ class Simulation:
         self._cups = bool(self.tools["cup"].any())
         self._touching = self.kernel.Touching(self.material, self.model.geom_bodyid, self.peaks, self.largest)
         self._carried = self.kernel.Hands(self.tools, self.hands, self.lips)
-        self._advance = None
+        self._advance = self.kernel.advance.unchecked()  # with or without springs and cups
         self._structure_changed = self.stepped = False
         self._parameters_changed = True
 
