@@ -28,22 +28,10 @@ import numpy as np
 from ..core.compiled import compiled, share
 from ..simulation import geometry
 from ..simulation.arm_kernel import POSE, forward, step, velocity
-from ..simulation.geometry import (
-    Quaternion,
-    Vector,
-    axes,
-    columns,
-    from_axes,
-    inverse,
-    multiply,
-    nearest,
-    rotated,
-    rotation_about,
-    rotation_vector,
-)
+from ..simulation.geometry import Quaternion, Vector
 
-share(axes, columns, from_axes, inverse, multiply, nearest, rotated, rotation_about, rotation_vector)
-share(geometry.tilted, geometry.tilt_and_turn)
+share(geometry.axes, geometry.columns, geometry.from_axes, geometry.inverse, geometry.multiply, geometry.nearest)
+share(geometry.rotated, geometry.rotation_about, geometry.rotation_vector, geometry.tilt_and_turn, geometry.tilted)
 
 BRAKING_TIME = 1 / 12
 """Time constant, in s, with which a joint approaches the end of its range. A hard stop would push the other joints.
@@ -243,19 +231,19 @@ def changed(law, position, orientation, own, values, low_z):
         (angle * values[3], angle * values[4], angle * values[5]),
     )
     if law.own_frame:
-        shift, turn = rotated(own, shift), rotated(own, turn)
-    turned = multiply(rotation_about(turn), orientation)
-    return _ahead(law, position, shift, low_z), nearest(law.middle, law.tilt, law.turn, turned)
+        shift, turn = geometry.rotated(own, shift), geometry.rotated(own, turn)
+    turned = geometry.multiply(geometry.rotation_about(turn), orientation)
+    return _ahead(law, position, shift, low_z), geometry.nearest(law.middle, law.tilt, law.turn, turned)
 
 
 @compiled
 def move_pose(law, joints, base, links, state, positions, velocities, numbers, values, ramps):
     """`ramp` for the actions of pose control: the tool is moved and turned."""
     target, lowest, x = np.empty(POSE), _lowest(law, numbers, velocities), numbers
-    own = from_axes((x[3], x[4], x[5]), (x[6], x[7], x[8]), (x[9], x[10], x[11]))
+    own = geometry.from_axes((x[3], x[4], x[5]), (x[6], x[7], x[8]), (x[9], x[10], x[11]))
     position, orientation = changed(law, (x[0], x[1], x[2]), own, own, values, lowest)
     place = 0
-    for one in (position, *axes(orientation)):
+    for one in (position, *geometry.axes(orientation)):
         for axis in range(3):
             target[place + axis] = one[axis]
         place += 3

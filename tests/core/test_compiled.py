@@ -11,12 +11,15 @@ from karolos import system
 from karolos.core import compiled
 
 CALLED = "from karolos.core.compiled import compiled\n@compiled\ndef one(): return {}\n"
+SHARED = "def half(): return {}\n"
 CALLER = """
 from functools import partial
+import shared
 from called import one
-from karolos.core.compiled import compiled
+from karolos.core.compiled import compiled, share
+share(shared.half)
 @partial(compiled, told=True)
-def two(): return one(), 1 / (one() - one())
+def two(): return one(), 1 / (one() - one()), shared.half()
 print(two())
 """
 
@@ -30,28 +33,31 @@ def test_of_several_processes_one_compiles_and_no_other_code_or_damaged_file_is_
     kept = tmp_path / "kept"
     (tmp_path / "caller.py").write_text(CALLER)
 
-    def outputs(value: float, processes: int) -> tuple[list[str], str]:
-        (tmp_path / "called.py").write_text(CALLED.format(value))
-        os.utime(tmp_path / "called.py", (value, value))  # Python looks at the time of a source, too
+    def outputs(value: float, processes: int, half: float = 0.5) -> tuple[list[str], str]:
+        for name, text in (("called.py", CALLED.format(value)), ("shared.py", SHARED.format(half))):
+            (tmp_path / name).write_text(text)
+            os.utime(tmp_path / name, (0, 100 * value + half * 8))  # Python looks at the time of a source, too
         started = [start(tmp_path, KAROLOS_CACHE=str(kept)) for _ in range(processes)]
         said = [process.communicate(timeout=100) for process in started]
         return [out for out, _ in said], "".join(err for _, err in said)
 
     out, err = outputs(1.0, 2)
-    assert out == ["(1.0, inf)\n"] * 2
+    assert out == ["(1.0, inf, 0.5)\n"] * 2
     assert err.count(f"compiling the physics (kept in {kept}) ...\ncompiled in") == 1
     files = set(tmp_path.rglob("*.nb?"))
     assert files == set(kept.rglob("*.nb?")) != set()
     for file in files:
         file.write_bytes(b"")
     assert "compiling" in outputs(1.0, 1)[1]
-    assert outputs(1.0, 1) == (["(1.0, inf)\n"], "")
-    out, err = outputs(2.0, 1)
-    assert (out, "compiling" in err) == (["(2.0, inf)\n"], True)
+    assert outputs(1.0, 1) == (["(1.0, inf, 0.5)\n"], "")
+    for value, half in ((2.0, 0.5), (2.0, 0.25)):
+        out, err = outputs(value, 1, half)
+        assert (out, "compiling" in err) == ([f"({value}, inf, {half})\n"], True)
 
 
 def test_where_nothing_can_be_kept_one_line_says_so_and_processes_share_a_temporary_folder(tmp_path):
     (tmp_path / "called.py").write_text(CALLED.format(1.0))
+    (tmp_path / "shared.py").write_text(SHARED.format(0.5))
     again = "import subprocess, sys\nif len(sys.argv) < 2: subprocess.run([sys.executable, *sys.argv, 'again'])\n"
     (tmp_path / "caller.py").write_text(CALLER + again)
     (tmp_path / "temporary").mkdir()
