@@ -35,7 +35,7 @@ def check(
 
     The parts of a valid spec are built once, and the environment makes its first steps. This shows whether the parts
     fit together. A transfer is checked with all its variants, a suite with all its specs. Nothing is trained.
-    Exit code 0: all specs are valid; 2: a spec is invalid; 3: a plugin is broken.
+    Exit code 0: all specs are valid; 2: a spec is invalid; 3: a plugin is broken, or a library is missing.
     """
     from karolos.specification import load_spec
     from karolos.specification.suite import is_suite, load_suite

@@ -156,7 +156,6 @@ def report(outcome: Outcome, runs: Path, *, quiet: bool, json: bool) -> NoReturn
         shown = f"{SHIPPED}{folder.path.name}" if is_shipped(folder) else f"{last.run}{option}"
         plays = f", `karolos play {shown}` shows it" if last.mean_return is not None else ""
         say(f"results in {runs}; `karolos runs show {shown}` shows more{plays}")
-        stopped = [run.run for run in outcome.runs if run.state == "stopped"]
-        for run in stopped:
-            say(f"{run} is stopped: `karolos resume {run}{option}` continues it")
+        for run in (run for run in outcome.runs if run.state in ("stopped", "lost")):
+            say(f"{run.run} is {run.state}: `karolos resume {run.run}{option}` continues it")
     raise typer.Exit(outcome.exit_code)

@@ -337,6 +337,7 @@ def remove(
 ) -> None:
     """Move runs to the trash (.trash in the runs folder). `karolos runs restore` brings them back."""
     from karolos.records import RunFolder, trash
+    from karolos.store.store import behind
 
     if purge:
         if run or where:
@@ -352,8 +353,9 @@ def remove(
         try:
             for summary in found:
                 path = trash.throw_away(RunFolder.open(summary.folder))
-                store.remove_runs([summary.run])
                 moved.append({"run": summary.run, "folder": str(path)})
+                with behind(f"{summary.run} is in the trash"):
+                    store.remove_runs([summary.run])
         finally:  # also the runs moved before the one that failed
             print_rows(moved, json=json, line="{run} -> {folder}")
     option = in_folder(runs)
@@ -392,6 +394,7 @@ def restore(
 ) -> None:
     """Move runs out of the trash, with their tests, tags and note."""
     from karolos.records import trash
+    from karolos.store.store import behind
 
     paths = list(dict.fromkeys(trash.find(runs, selector) for selector in run))
     moved = []
@@ -399,7 +402,8 @@ def restore(
         for path in paths:
             folder = trash.restore(path)
             record = folder.record()
-            store.add_records([record])
+            with behind(f"{folder.id} is out of the trash"):
+                store.add_records([record])
             moved.append({"run": folder.id, "folder": str(folder.path)})
             for problem in record.problems:
                 warn(f"{folder.id}: {problem}")

@@ -202,6 +202,8 @@ def _load(entry: PluginEntry) -> Any:
             inside = (at for name, at in _frames(error) if _package(name) == package and not name.startswith(own))
             place = next((f"{at}: " for at in inside), "")
         hint = f"repair {entry.target}, or uninstall {entry.distribution}"
+        if entry.distribution == "karolos":
+            hint = "free memory if there is too little, or install karolos and its libraries again"
         # `from None`: the command line would print the traceback of a cause, but the place is enough
         raise broken(f"does not import: {_text(error)}", where=place + entry.who, hint=hint) from None
     _in_use.add(entry)

@@ -50,6 +50,12 @@ def test_plugin_that_does_not_import_fails_only_when_used(fake_plugins, target):
     assert caught.value.exit_code == 3
 
 
+def test_nobody_is_told_to_uninstall_karolos(fake_plugins):
+    fake_plugins("robots", "broken", "no_such_module_anywhere:Robot", distribution="karolos")
+    with pytest.raises(PluginError, match="; free memory if there is too little, or install karolos and its"):
+        registry.load("robots", "broken")
+
+
 HOSTILE = {
     "raise RuntimeError('no licence\\nsecond line')": "RuntimeError: no licence",
     "import sys; sys.exit(0)": "SystemExit: 0",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -73,6 +73,8 @@ class Orchestrator(ABC):
     """The signature of every environment."""
     size: int
     """Number of environments."""
+    library: ClassVar[str | None] = None
+    """A module that must be installed, and the extra of karolos that installs it."""
 
     @abstractmethod
     def reset(self, environments: Sequence[int] | NDArray[np.int64], seeds: Sequence[int]) -> None:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from importlib.util import find_spec
 from itertools import pairwise
 from operator import itemgetter
 
 from ..core import Agent, Buffer, SeedTree, Signature
 from ..core.experience import transition_layout
-from ..errors import UsageError
+from ..errors import MachineError, UsageError
 from ..specification import Spec
 from ..specification.sweep import MEASURES, directions
 from ..system import memory
@@ -39,6 +40,7 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
         KarolosError: a plugin or the machine prevents it.
     """
     with spec.located():
+        _check_libraries(spec)
         signature, size = try_environments(spec), environment_count(spec)
         check_memory(spec, signature, jobs)
         with spec.making("agent"):
@@ -54,6 +56,15 @@ def check_parts(spec: Spec, jobs: int = 1) -> str | None:
             buffer.add_demonstrations(())
             check_demonstrations(spec.recipe(randomize=True), spec.demonstrations)
         return _doubt(spec, agent, buffer, signature)
+
+
+def _check_libraries(spec: Spec) -> None:
+    """Raise a MachineError if orchestrator or launcher need a library that is not installed."""
+    for key, part in (("orchestrator", spec.orchestrator), ("launcher", spec.launcher)):
+        library = part and getattr(part.plugin, "library", None)
+        if part and library and find_spec(library) is None:
+            hint = f"pip install 'karolos[{library}]'"
+            raise MachineError(f"{part.name} is not installed", setting=f"{key}.name", hint=hint)
 
 
 def _check_amounts(spec: Spec, agent: Agent, buffer: Buffer) -> None:

@@ -135,7 +135,8 @@ class Checkpointer:
         """Write a checkpoint; returns whether it is on the disk."""
         amounts = {"steps": at.steps, "updates": at.updates, "seconds": at.seconds}
         meta = {"experiment": self._folder.description()["experiment"], "seed": self.seed, **amounts, **more}
-        with self.writer.tolerated(MachineError, f"the checkpoint {name!r} was not written; the one before is kept"):
+        consequence = f"the checkpoint {name!r} was not written; the one before, if any, is kept"
+        with self.writer.tolerated(MachineError, consequence):
             checkpoint.save(self._folder.checkpoints, name, parts, meta)
             return True
         return False

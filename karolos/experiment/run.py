@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 
 from ..core.schedules import Every
 from ..core.seeding import SeedTree
-from ..errors import KarolosError, RunError, WorkerError, described
+from ..errors import KarolosError, MachineError, RunError, WorkerError, described
 from ..evaluation.due_tests import DueEvaluation
 from ..evaluation.testing import test_seeds
 from ..records import RunFolder, checkpoint
@@ -85,7 +85,11 @@ class Run:
         return self.folder.summary()
 
     def _end(self, ending: Ending) -> None:
-        self._writer.end(ending)
+        try:
+            self._writer.end(ending)
+        except MachineError as error:  # e.g. the disk is full
+            error.hint = f"{error.hint or ''}; `karolos resume` then continues from the newest checkpoint".lstrip("; ")
+            raise
         self.listener(RunEnded(self.folder.id, ending.state, ending.error, ending.traceback))
 
     def _train(self) -> Ending:

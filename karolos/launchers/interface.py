@@ -41,6 +41,8 @@ class Launcher(ABC):
 
     poll_seconds: ClassVar[float] = 0.2
     """Time between two checks of the run folders."""
+    library: ClassVar[str | None] = None
+    """A module that must be installed, and the extra of karolos that installs it."""
 
     @abstractmethod
     def room(self, waiting: int) -> int:

@@ -64,6 +64,7 @@ class RayLauncher(Launcher):
         max_retries: int = Setting(default=3, ge=0, description="resumptions of a run after its machine is lost")
 
     poll_seconds: ClassVar[float] = 0.5
+    library = "ray"
 
     def __init__(self, settings: Settings, jobs: int | None = None) -> None:
         self._ray, self._mine = connect(settings.address)

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import ClassVar
 
 from pydantic import Field as Setting
+from pydantic import ValidationInfo, field_validator
 from typing_extensions import override
 
 from ..core.settings import Settings as BaseSettings
@@ -25,6 +26,10 @@ PATIENCE_SECONDS = 600.0
 """Time for which squeue may fail. Its server is often unavailable for some minutes."""
 GONE_SECONDS = 30.0
 """Time for which squeue does not know a job before the job counts as lost."""
+OURS = ["-a", "--array", "-c", "--cpus-per-task", "-o", "--output", "--open-mode", "--signal", "--parsable"]
+OURS += ["--requeue", "--no-requeue"]
+MAYBE_OURS = {"gpus": ("-G", "--gpus"), "time": ("-t", "--time"), "partition": ("-p", "--partition")}
+"""Options of sbatch that karolos sets always, and those that it sets with a setting of the launcher."""
 ANSWER_SECONDS = 60.0
 """Time that a command of Slurm may take."""
 SCRIPT = """#!/bin/bash
@@ -59,6 +64,17 @@ class SlurmLauncher(Launcher):
         time: str | None = Setting(default=None, description="time limit of a job, as for sbatch, e.g. 4:00:00")
         partition: str | None = Setting(default=None, description="partition of Slurm; null: its default")
         options: tuple[str, ...] = Setting(default=(), description="more options of sbatch, e.g. --account=me")
+
+        @field_validator("options")
+        @classmethod
+        def _leaves_ours_alone(cls, options: tuple[str, ...], given: ValidationInfo) -> tuple[str, ...]:
+            """Refuse options that karolos sets: sbatch takes the last one, also by the beginning of its name."""
+            ours = [*OURS, *(one for key, names in MAYBE_OURS.items() if given.data.get(key) for one in names)]
+            for option in options:
+                name = option.partition("=")[0]
+                if option[:2] in ours or (name.startswith("--") and any(one.startswith(name) for one in ours)):
+                    raise ValueError(f"karolos sets {name} itself: remove it here")
+            return options
 
     poll_seconds: ClassVar[float] = 2.0
 

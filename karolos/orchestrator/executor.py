@@ -262,7 +262,8 @@ def as_karolos_error(error: BaseException, where: str) -> KarolosError:
         place, plugin = str(found.where), found.plugin
     except BaseException:  # not of a plugin
         pass
-    return WorkerError(described(error), where=f"{where}: {place}", plugin=plugin, traceback=text)
+    hint = "free memory, or use fewer environments" if isinstance(error, MemoryError) else None
+    return WorkerError(described(error), where=f"{where}: {place}", plugin=plugin, hint=hint, traceback=text)
 
 
 def pack_errors(errors: list[tuple[int, KarolosError]]) -> bytes:

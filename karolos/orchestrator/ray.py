@@ -16,13 +16,15 @@ from pydantic import Field as Setting
 from typing_extensions import override
 
 from ..core import BuildEnvironment, Signature
-from ..errors import MachineError
+from ..errors import MachineError, UsageError
 from .executor import RESET, EnvironmentArrays
 from .local import Limits, Local
 from .pool import Channel, Worker, WorkerPool
 from .processes import pack_build
 from .worker import build_environments, environments_in, run_command
 
+CLIENT_PORT = 10001
+"""Ray's port for ray://. Without the scheme Ray would try for hours to speak another protocol there."""
 CONNECT_TIMEOUT = 10.0
 """Seconds for a cluster to accept a connection."""
 
@@ -34,7 +36,12 @@ def connect(address: str | None) -> tuple[Any, bool]:
 
     Raises:
         MachineError: Ray is not installed, or no cluster answers at the address.
+        UsageError: the address lacks its ray://.
     """
+    host, _, port = (address or "").removeprefix("ray://").rpartition(":")
+    if address == f"{host}:{CLIENT_PORT}":
+        hint = f"ray://{address}, or HOST:PORT of the head (6379) on a machine of the cluster"
+        raise UsageError(f"{address} is the port of Ray's clients", hint=hint)
     try:
         ray: Any = importlib.import_module("ray")
     except ImportError as error:
@@ -43,13 +50,13 @@ def connect(address: str | None) -> tuple[Any, bool]:
     if is_new:
         on_terminate = signal.getsignal(signal.SIGTERM)
         try:
-            host, _, port = (address or "").removeprefix("ray://").rpartition(":")
             if host:  # Ray would try for minutes
                 socket.create_connection((host, int(port)), CONNECT_TIMEOUT).close()
             ray.init(address, log_to_driver=False, logging_level="ERROR", include_dashboard=None)
         except (OSError, RuntimeError, ValueError) as error:
             what = f"no Ray cluster answers at {address}" if address else "Ray does not start"
-            hint = "`ray status` shows a cluster; one with a token needs RAY_AUTH_MODE=token"
+            hint = "HOST:PORT (6379) is for machines of the cluster, and ray://HOST:PORT (10001) for others"
+            hint += "; `ray status` shows a cluster; one with a token needs RAY_AUTH_MODE=token"
             raise MachineError(f"{what}: {error}".splitlines()[0], hint=hint) from error
         # Ray prints errors of its own on stdout, where rows for other programs go.
         printer: Any = importlib.import_module("ray._private.worker")
@@ -68,6 +75,8 @@ class Ray(Local):
 
     Results are those of `local` with the same number of environments, which is the same experiment.
     """
+
+    library = "ray"
 
     class Settings(Limits):
         workers: int = Setting(default=2, ge=1, le=64, description="actors, spread over the machines of the cluster")

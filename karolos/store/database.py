@@ -48,6 +48,7 @@ _LOCK_NOT_AVAILABLE = "55P03"
 _NO_RIGHT = "42501"
 """PostgreSQL's code of the error of a role without the right."""
 _REBUILD = "move it away and run `karolos db reindex`, which builds a new one from the run folders"
+_REBUILD_ON_SERVER = "name an empty one with --database; `karolos db reindex` fills it from the run folders"
 _LOCKED = ("another process keeps the database locked", "wait for that process, or stop it")
 _SQLITE_ERRORS = {
     sqlite3.SQLITE_BUSY: _LOCKED,
@@ -173,21 +174,19 @@ class Database:
 
         Raises StoreError if the database belongs to another program or has another schema.
         """
+        rebuild = _rebuilding(self.url)
         tables = set(inspect(connection).get_table_names())
         if SCHEMA_VERSION.name not in tables:
             if tables:
-                raise StoreError(
-                    "this database belongs to another program",
-                    where=self.name,
-                    hint=f"name another with --database, or {_REBUILD}",
-                )
+                hint = f"name another with --database, or {rebuild}" if self._path else rebuild
+                raise StoreError("this database belongs to another program", where=self.name, hint=hint)
             return False
         version: int | None = connection.scalar(select(SCHEMA_VERSION.c.version))
         if version is None:
-            raise StoreError("the database is damaged: its schema version is missing", where=self.name, hint=_REBUILD)
+            raise StoreError("the database is damaged: its schema version is missing", where=self.name, hint=rebuild)
         if version == SCHEMA or (version < SCHEMA and upgrade):
             return version == SCHEMA
-        age, hint = ("a newer", _REBUILD) if version > SCHEMA else ("an older", "`karolos db upgrade` renews it")
+        age, hint = ("a newer", rebuild) if version > SCHEMA else ("an older", "`karolos db upgrade` renews it")
         what = f"{age} karolos made this database (schema {version}, this karolos reads {SCHEMA})"
         raise StoreError(what, where=self.name, hint=hint)
 
@@ -199,7 +198,7 @@ def explained(url: URL) -> Iterator[None]:
         yield
     except json.JSONDecodeError as error:
         what = "the database is damaged: a column does not hold JSON"
-        raise StoreError(what, where=_without_secrets(url), hint=_REBUILD) from error
+        raise StoreError(what, where=_without_secrets(url), hint=_rebuilding(url)) from error
     except (DataError, IntegrityError, OverflowError, UnicodeError) as error:
         what = f"the database refuses a value ({_first_line(error)})"
         hint = "a file of the run was damaged or edited"
@@ -209,7 +208,7 @@ def explained(url: URL) -> Iterator[None]:
         kind = getattr(error.orig, "sqlite_errorcode", 0) & 0xFF
         if kind not in _SQLITE_ERRORS and getattr(error.orig, "sqlstate", None) == _LOCK_NOT_AVAILABLE:
             kind = sqlite3.SQLITE_BUSY
-        hint = "check that the server is up and the URL is right"
+        hint = "check that the server is up, and user, password and name of the database in the URL"
         if getattr(error.orig, "sqlstate", None) == _NO_RIGHT:
             hint = "name another role in the URL, or ask the owner of the database for the right"
         default = f"the database refuses ({_first_line(error)})", hint
@@ -217,6 +216,11 @@ def explained(url: URL) -> Iterator[None]:
         if (path := _sqlite_file(url)) is not None and path.is_dir():
             what, hint = "a folder is in the way of the database's file", "move it away, or name a file with --database"
         raise StoreError(what, where=_without_secrets(url), hint=hint) from error
+
+
+def _rebuilding(url: URL) -> str:
+    """How to get a new database, as a hint."""
+    return _REBUILD_ON_SERVER if _sqlite_file(url) is None else _REBUILD
 
 
 def _first_line(error: Exception) -> str:

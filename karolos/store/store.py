@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import os
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, replace
 from pathlib import Path
 from types import NoneType
@@ -41,6 +41,16 @@ NUMBERS = {int, float, NoneType}
 """Types of fields that are numbers or missing."""
 MOST_NAMED = 500
 """A query names at most this many runs; for more, all rows are read."""
+
+
+@contextmanager
+def behind(done: str) -> Iterator[None]:
+    """Add to a StoreError of the block that `done` has happened in a folder, which is the truth."""
+    try:
+        yield
+    except StoreError as error:
+        error.hint = f"{f'{error.hint}; ' if error.hint else ''}{done}, and `karolos db reindex` enters this"
+        raise
 
 
 class Store(Database):
@@ -90,14 +100,10 @@ class Store(Database):
 
     def refresh_labels(self, folder: RunFolder) -> None:
         """Copy a run's tags and note from its folder. Raises StoreError if the run is not in the database."""
-        with self.writing() as connection:
-            change = update(RUNS).where(RUNS.c.run == folder.id).values(asdict(folder.labels()))
+        change = update(RUNS).where(RUNS.c.run == folder.id).values(asdict(folder.labels()))
+        with behind(f"the folder of {folder.id} has its new tags and note"), self.writing() as connection:
             if not connection.execute(change).rowcount:
-                raise StoreError(
-                    f"the run {folder.id} is not in the database",
-                    where=self.name,
-                    hint="its folder is complete; `karolos db reindex` enters it",
-                )
+                raise StoreError(f"the run {folder.id} is not in the database", where=self.name)
 
     def remove_runs(self, runs: Sequence[str]) -> None:
         """Remove runs from the index, with their tests and everything that only they use. Folders stay."""

@@ -25,7 +25,7 @@ from ..errors import KarolosError, MachineError, UsageError, closest
 
 SPECS = next(path for up in (1, 2) if (path := Path(__file__).parents[up] / "specs").is_dir())
 """Folder of the shipped specs, in the installed package or in a checkout."""
-_FULL = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG})
+_FULL = frozenset({errno.ENOSPC, errno.EDQUOT})
 _FORBIDDEN = frozenset({errno.EACCES, errno.EPERM, errno.EROFS})
 _POLL_SECONDS = 0.02
 T = TypeVar("T")
@@ -67,6 +67,9 @@ def writing(path: Path) -> Iterator[None]:
 def _explained(error: OSError, path: Path) -> MachineError:
     if error.errno in _FULL:
         return MachineError("the disk is full", where=str(path), hint="free some space; the old content is intact")
+    if error.errno == errno.EFBIG:
+        hint = "raise the limit (`ulimit -f`), or name another folder; the old content is intact"
+        return MachineError("the file is larger than this shell or disk allows", where=str(path), hint=hint)
     if error.errno in _FORBIDDEN:
         return MachineError("cannot be written", where=str(path), hint="change its permissions or name another folder")
     if isinstance(error, NotADirectoryError | FileExistsError):

@@ -45,6 +45,13 @@ def test_broken_plugin_ends_with_3_and_the_rest_is_checked(specs, fake_plugins):
     assert good.endswith("good.yaml: ok")
 
 
+def test_a_library_that_is_not_installed_is_told_before_a_run(monkeypatch):
+    monkeypatch.setattr("karolos.experiment.check.find_spec", lambda _: None)
+    for key in ("launcher", "orchestrator"):
+        told = karolos("check", "bit_flip", f"{key}.name=ray", code=3).out
+        assert f"{key}.name: ray is not installed; pip install 'karolos[ray]'" in told
+
+
 def test_file_names_cannot_write_control_characters(specs):
     (specs / "\x1b[31mred.yaml").write_text(GOOD + "name: red\n")
     assert "\x1b" not in karolos("check", "\x1b[31mred.yaml").out

@@ -33,6 +33,12 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.usefixtures("home")
+def test_an_address_of_ray_without_its_scheme_is_told():
+    told = refused("run", "toy.yaml", "--on", "head:10001")
+    assert "--on: 'head:10001' is an address without its ray://; ray://head:10001; on a machine" in told
+
+
 def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home):
     told = karolos("run", "toy.yaml", "seeds=[0,1]", "--json")
     found = [json.loads(line) for line in told.out.splitlines()]

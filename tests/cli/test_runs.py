@@ -3,15 +3,20 @@
 import csv
 import io
 import shutil
+import sqlite3
 import sys
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+import typer
+from karolos_cli.run import report
 from support import commands, run_samples
 from support.run_samples import stored
 
+from karolos.launchers.experiment import Outcome
 from karolos.records import RunFolder, checkpoint
 from karolos.specification import load_spec
 from karolos.store import Store
@@ -223,6 +228,13 @@ def test_only_what_runs_can_be_stopped(runs):
     assert "is finished: there is nothing to stop" in refused("stop", run_samples.add_run(runs, 0))
 
 
+def test_a_command_says_how_to_continue_a_lost_run(runs, capsys):
+    run = add_run(runs, 0, "running")
+    with pytest.raises(typer.Exit):
+        report(Outcome.of([RunFolder.open(runs / run).summary()], 1), runs, quiet=False, json=False)
+    assert f"{run} is lost: `karolos resume {run}" in capsys.readouterr().err
+
+
 def test_csv_has_all_columns_and_no_formulas(runs):
     first = run_samples.add_run(runs, 0)
     karolos("tag", "--", first, "=1+1", "-x")
@@ -271,6 +283,20 @@ def test_removed_runs_come_back_with_all_they_had(alike):
     karolos("restore", first[:8])
     assert rows("list") == before
     assert karolos("list", "--trash").out == ""
+
+
+def test_what_a_database_refuses_is_told_with_what_has_happened_to_the_folder(runs, alike):
+    first, second = alike
+    karolos("list")
+    with closing(sqlite3.connect(runs / "karolos.sqlite")) as index:
+        for change in ("UPDATE", "DELETE", "INSERT"):
+            index.execute(f"CREATE TRIGGER no_{change} BEFORE {change} ON runs BEGIN SELECT RAISE(ABORT, 'no'); END")
+    enters = "and `karolos db reindex` enters this"
+    assert f"the folder of {first} has its new tags and note, {enters}" in karolos("tag", first, "good", code=4).err
+    removed = karolos("rm", second, code=4)
+    assert f"{second} is in the trash, {enters}" in removed.err
+    assert removed.out.startswith(f"{second} -> ")
+    assert f"{second} is out of the trash, {enters}" in karolos("restore", second, code=4).err
 
 
 def test_filter_chooses_what_is_removed(runs):

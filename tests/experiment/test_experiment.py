@@ -231,6 +231,15 @@ def test_a_full_disk_under_the_test_results_fails_the_run(tmp_path, monkeypatch)
         Experiment(spec()).run(tmp_path)
 
 
+def test_a_run_whose_end_cannot_be_written_says_how_to_continue_it(tmp_path, monkeypatch):
+    def full(*_):
+        raise MachineError("the disk is full", hint="free some space")
+
+    monkeypatch.setattr("karolos.experiment.writer.RunWriter.end", full)
+    with pytest.raises(MachineError, match="free some space; `karolos resume` then continues from the newest"):
+        Experiment(spec()).run(tmp_path)
+
+
 def test_a_newer_database_is_refused_before_anything_runs(tmp_path):
     with Store(Store.default_url(tmp_path)) as store, store.writing() as connection:
         connection.exec_driver_sql("UPDATE karolos_schema SET version = version + 1")

@@ -27,6 +27,11 @@ def test_a_cluster_that_does_not_answer_is_named():
             RayLauncher(RayLauncher.Settings(address=address))
 
 
+def test_the_port_of_clients_without_its_scheme_is_told_before_ray_waits_for_hours():
+    with pytest.raises(UsageError, match=r"port of Ray's clients; ray://head:10001, or HOST:PORT of the head"):
+        RayLauncher(RayLauncher.Settings(address="head:10001"))
+
+
 def test_a_machine_that_does_not_see_the_folder_says_so(tmp_path):
     assert "cannot see" in str(hand_to_process(str(tmp_path / "runs" / "toy"), 1))
 

@@ -8,6 +8,7 @@ import threading
 from pathlib import Path
 
 import pytest
+from pydantic import ValidationError
 from support import fake_slurm
 from support.processes import wait_for
 from support.toy_runs import created, toy
@@ -103,6 +104,13 @@ def test_output_of_sbatch_without_a_number_is_shown(tmp_path, slurm):
     (tmp_path / "banner").write_text("Welcome to the cluster")
     with pytest.raises(MachineError, match="sbatch did not print the number of a job, but 'Welcome to the cluster'"):
         Experiment(SHORT | {"launcher": "slurm"}).run(tmp_path / "runs")
+
+
+@pytest.mark.parametrize("option", ["--array=0-3", "-a0-3", "--arr", "--requeue", "--time=9", "-t9"])
+def test_options_of_sbatch_that_karolos_sets_are_refused_and_others_are_not(option):
+    with pytest.raises(ValidationError, match=f"karolos sets {option.partition('=')[0]} itself"):
+        SlurmLauncher.Settings(time="1:00", options=("--account=me", option))
+    assert SlurmLauncher.Settings(options=("-A", "me", "--gres=gpu:1", "--gpus=a100:1", "--time=9"))
 
 
 def test_without_slurm_the_missing_command_is_named(monkeypatch):

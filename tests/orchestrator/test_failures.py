@@ -37,6 +37,7 @@ from support.processes import kill_worker, wait_until_gone
 
 from karolos.errors import KarolosError, MachineError, PluginError, WorkerError
 from karolos.orchestrator import pool, processes
+from karolos.orchestrator.executor import as_karolos_error
 from karolos.orchestrator.local import Local
 from karolos.orchestrator.worker import build_environments
 
@@ -100,6 +101,13 @@ def test_an_interrupt_of_an_environment_is_told_by_its_worker():
     ((_, error),) = pickle.loads(answer[1:])
     assert executor is None
     assert re.fullmatch(r"worker 0: .*test_failures\.py:\d+: KeyboardInterrupt", str(error))
+
+
+def test_a_lack_of_memory_says_what_to_do():
+    with pytest.raises(MemoryError) as caught:
+        np.empty(1 << 50)
+    told = str(as_karolos_error(caught.value, "worker 0"))
+    assert told.endswith("; free memory, or use fewer environments")
 
 
 @every_layout

@@ -1,5 +1,6 @@
 """What the index keeps, what it finds, how it is asked, and what it refuses."""
 
+import json
 import os
 import resource
 import shutil
@@ -12,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sqlalchemy import event, make_url, select, update
-from sqlalchemy.exc import ProgrammingError
+from sqlalchemy.exc import OperationalError, ProgrammingError
 from support.databases import KINDS, empty_database
 from support.fork_server import FORKS
 from support.run_samples import bare, indexed_run, new_run, result, stored
@@ -85,7 +86,7 @@ def test_runs_move_with_their_database(store, tmp_path):
 def test_labels_of_an_unknown_run_are_told(store, tmp_path):
     run = indexed_run(store, tmp_path)
     store.remove_runs([run.id])
-    with pytest.raises(StoreError, match=r"is not in the database; its folder is complete"):
+    with pytest.raises(StoreError, match=r"is not in the database; the folder of .* has its new tags"):
         store.refresh_labels(run)
 
 
@@ -481,6 +482,15 @@ def test_a_role_without_rights_is_not_told_to_check_the_server():
     told, url = r"denied for table runs.*another role in the URL", make_url("postgresql://reader@host/lab")
     with pytest.raises(StoreError, match=told), explained(url):
         raise ProgrammingError("UPDATE", {}, refusal)
+
+
+def test_hints_for_a_server_name_no_file_to_move_away():
+    url = make_url("postgresql://me@host/lab")
+    with pytest.raises(StoreError, match=r"does not hold JSON; name an empty one with --database"), explained(url):
+        raise json.JSONDecodeError("bad", "{", 0)
+    refusal = Exception('FATAL: password authentication failed for user "me"')
+    with pytest.raises(StoreError, match=r"authentication failed.*check .* password and name"), explained(url):
+        raise OperationalError("connect", {}, refusal)
 
 
 def test_full_disk_is_told_and_loses_nothing_stored(store):

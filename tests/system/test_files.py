@@ -33,6 +33,11 @@ def test_whole_file_is_replaced_and_kept_if_the_disk_is_full_and_nothing_else_is
     assert list(tmp_path.iterdir()) == [path]
 
 
+def test_a_limit_of_file_sizes_is_not_told_as_a_full_disk(tmp_path):
+    with pytest.raises(MachineError, match=r"than this shell or disk allows; raise .*`ulimit -f`"), writing(tmp_path):
+        raise OSError(errno.EFBIG, "File too large")
+
+
 def test_full_disk_leaves_no_part_of_a_line(tmp_path, monkeypatch):
     path = tmp_path / "tests.jsonl"
     append_lines(path, [{"steps": 1}])
