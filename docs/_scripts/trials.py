@@ -26,7 +26,8 @@ SEEDS = 2
 """Of each trial; reaching, which takes seconds, has five."""
 STEPS = {
     "reach": 2_000,
-    "pick": 30_000,
+    "stack_demos": 20_000,
+    "slide_demos": 40_000,
 }
 """Task, as in the name of a spec -> the steps of a trial: where the shipped spec has learned, or nearly."""
 TRIALS: dict[str, tuple[str, ...]] = {
