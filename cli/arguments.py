@@ -121,7 +121,7 @@ def with_launcher(overrides: Sequence[str] | None, on: str | None) -> list[str]:
         return list(overrides or ())
     name, address, _ = on.partition("://")
     if ":" in name:
-        hint = f"ray://{on}; on a machine of the cluster: --on ray launcher.address={on}"
+        hint = f"give --on ray://{on}, or on a machine of the cluster --on ray launcher.address={on}"
         raise UsageError(f"{on!r} is an address without its ray://", where="--on", hint=hint)
     return [*(overrides or ()), f"launcher.name={name}", *([f"launcher.address={on}"] if address else ())]
 

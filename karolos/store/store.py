@@ -45,7 +45,7 @@ MOST_NAMED = 500
 
 @contextmanager
 def behind(done: str) -> Iterator[None]:
-    """Add to a StoreError of the block that `done` has happened in a folder, which is the truth."""
+    """Add `done`, the change that a run's folder already has, to the hint of a StoreError of the block."""
     try:
         yield
     except StoreError as error:

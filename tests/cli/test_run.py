@@ -36,7 +36,7 @@ def home(tmp_path, monkeypatch):
 @pytest.mark.usefixtures("home")
 def test_an_address_of_ray_without_its_scheme_is_told():
     told = refused("run", "toy.yaml", "--on", "head:10001")
-    assert "--on: 'head:10001' is an address without its ray://; ray://head:10001; on a machine" in told
+    assert "--on: 'head:10001' is an address without its ray://; give --on ray://head:10001, or on a machine" in told
 
 
 def test_json_rows_hold_the_fixed_fields_first_and_progress_goes_to_stderr(home):

@@ -230,7 +230,7 @@ class MujocoMotors:
 
     def read(self) -> tuple[Array, Array, float]:
         data, size = self._simulation.ready(), self._size
-        positions, velocities = data.qpos.take(self._positions), data.qvel.take(self._dofs)  # faster than by brackets
+        positions, velocities = data.qpos.take(self._positions), data.qvel.take(self._dofs)  # faster than indexing
         opening = 0.0
         if self._fingers is not None:
             opening = self._fingers.opening(float(positions[-2] + positions[-1]) / 2)

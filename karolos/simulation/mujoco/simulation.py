@@ -93,7 +93,6 @@ class Simulation:
         self._data: Any = None
         self._scratch: Any = None
         self._structure_changed = self._parameters_changed = True
-        self._advance = self.kernel.advance.unchecked()
         self._arguments: tuple[Any, ...] | None = None
         self.stepped = False
         """Whether forces and contacts are valid: no state was written since they were computed."""
