@@ -72,6 +72,8 @@ class Simulation:
         self.stiff = 2 * timestep, 1.0
         """`solref` of the stiffest constraints that the time step allows."""
         self.parts: list[Any] = []
+        self.links: dict[int, tuple[int, int]] = {}
+        """Index of the body and number of its link, -1 for the base, of each of MuJoCo's bodies."""
         self.arms: list[Any] = []
         """Motors of arms with a tool, in the order of the rows of `tools`."""
         self.sprung: dict[int, tuple[int, int]] = {}
@@ -207,6 +209,7 @@ class Simulation:
         self.peaks, self.largest = np.zeros((2, self.model.nbody, self.model.nbody))
         self.loads = np.zeros((3, self.model.nv))
         self._masses, self._inertias = self.model.body_mass.copy(), self.model.body_inertia.copy()
+        self.links.clear()
         for part in self.parts:
             part.find(self.model)
         self._springs = np.array(sorted({row for row, _ in self.sprung.values()})) if self.sprung else None
@@ -266,6 +269,7 @@ class MujocoBody:
     def find(self, model: Any) -> None:
         """Look up the body's places in a model that was just compiled."""
         self.ids = [model.body(name).id for name in self._names]
+        self._simulation.links.update({place: (self.index, link) for link, place in enumerate(self.ids, -1)})
         self.geoms = [[model.geom(shape).id for shape in shapes] for shapes in self.shapes]
         """Numbers of `shapes` in the model."""
         self._mocap = int(model.body_mocapid[self.ids[0]])

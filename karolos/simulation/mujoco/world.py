@@ -240,14 +240,13 @@ class MujocoWorld:
 
     def _pressing(self, body: Body, between: FloatArray) -> dict[tuple[int, int], float]:
         """The forces on a body, given the forces between each two of MuJoCo's bodies (nbody, nbody)."""
-        own, found = self._bodies[body.index], dict[tuple[int, int], float]()
-        bodies = {place: one.index for one in self._bodies for place in one.ids}
-        links = {place: link for link, place in enumerate(own.ids, -1)}
-        for pair in np.argwhere(between).tolist():
-            for first, second in (pair, pair[::-1]):
-                if first in links:
-                    key = links[first], bodies[second]
-                    found[key] = found.get(key, 0.0) + float(between[tuple(pair)])
+        own, found, links = body.index, dict[tuple[int, int], float](), self._simulation.links
+        firsts, seconds = between.nonzero()
+        for first, second in zip(firsts.tolist(), seconds.tolist(), strict=True):
+            one, other, force = links[first], links[second], between.item(first, second)
+            for (index, link), (opposite, _) in ((one, other), (other, one)):
+                if index == own:
+                    found[link, opposite] = found.get((link, opposite), 0.0) + force
         return found
 
     def render(
