@@ -10,8 +10,11 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from torch import Tensor
+
+from . import norm_kernel
 
 LAYER_NORM_EPSILON = 1e-5
 """Added to the variance in layer normalisation, as in torch.nn.LayerNorm."""
@@ -19,6 +22,8 @@ NARROW_COLUMNS = 16
 """With fewer output columns a call of oneDNN costs more than it saves."""
 NARROW_FLOAT32 = 64
 """In float32 MKL is faster where a side is below this, as in most first layers."""
+_EPSILON = np.float32(LAYER_NORM_EPSILON)
+_NORMALISE, _NORMALISE_BACKWARD = norm_kernel.normalise.unchecked(), norm_kernel.normalise_backward.unchecked()
 _LAYER_NORM_BACKWARD = torch.ops.aten.native_layer_norm_backward.default
 _THRESHOLD_BACKWARD = torch.ops.aten.threshold_backward.grad_input
 _NO_SCALARS: list[Any] = []
@@ -81,9 +86,8 @@ def forward(x: Tensor, layers: list[Affine], *, layer_norm: bool) -> tuple[Tenso
     for layer in layers[:-1]:
         if layer_norm:
             raw = _affine(h, layer, relu=False)
-            h, mean, scale = torch.native_layer_norm(raw, raw.shape[-1:], None, None, LAYER_NORM_EPSILON)
-            h.relu_()
-            norms.append((raw, mean, scale))
+            h, means, scales = normalised(raw)
+            norms.append((raw, means, scales))
         else:
             h = _affine(h, layer, relu=True)
         activations.append(h)
@@ -117,8 +121,7 @@ def backward(
         d = _relu_backward(d, tape.last_input).to(tape.activations[-1].dtype)
     for number in reversed(range(len(layers) - 1)):
         if tape.norms:
-            raw, mean, scale = tape.norms[number]
-            d = _LAYER_NORM_BACKWARD(d, raw, raw.shape[-1:], mean, scale, None, None, [True, False, False])[0]
+            d = normalised_backward(d, *tape.norms[number])
         if out is not None:
             _parameter_gradients(d, tape.activations[number], out[number])
         if number:
@@ -128,6 +131,27 @@ def backward(
     # MKL multiplies few rows with a matrix five times as fast as a matrix with few columns.
     by_input = torch.matmul(layers[0].weight[:, columns].mT, d.mT).mT.float()
     return by_input if row_scale is None else by_input.mul_(row_scale)
+
+
+def normalised(raw: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """The normalised and rectified rows of `raw` (n, u), their means and 1 / standard deviations (n, 1)."""
+    if raw.is_cuda or raw.dtype == torch.bfloat16:
+        h, means, scales = torch.native_layer_norm(raw, raw.shape[-1:], None, None, LAYER_NORM_EPSILON)
+        return h.relu_(), means, scales
+    h, means, scales = torch.empty_like(raw), raw.new_empty((len(raw), 1)), raw.new_empty((len(raw), 1))
+    _NORMALISE(raw.numpy(), _EPSILON, h.numpy(), means.numpy(), scales.numpy())
+    return h, means, scales
+
+
+def normalised_backward(gradient: Tensor, raw: Tensor, means: Tensor, scales: Tensor) -> Tensor:
+    """The gradient by `raw` from the one by its normalised rows, which may be overwritten: (n, u)."""
+    if raw.is_cuda or raw.dtype == torch.bfloat16:
+        arguments = gradient, raw, raw.shape[-1:], means, scales, None, None, [True, False, False]
+        by_raw: Tensor = _LAYER_NORM_BACKWARD(*arguments)[0]
+        return by_raw
+    gradient = gradient.contiguous()
+    _NORMALISE_BACKWARD(gradient.numpy(), raw.numpy(), means.numpy(), scales.numpy())
+    return gradient
 
 
 def _affine(x: Tensor, layer: Affine, *, relu: bool) -> Tensor:

@@ -9,7 +9,7 @@ import shutil
 import sys
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
@@ -33,7 +33,7 @@ WAIT_SECONDS = 120.0
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
 
-def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
+def compiled(function: Callable[..., Any] | None = None, *, told: bool = False, fastmath: Collection[str] = ()) -> Any:
     """The function, compiled at its first call and kept on disk. One process compiles, and others load.
 
     Its method `unchecked` returns it as a function that checks the types of the arguments in its first call only.
@@ -41,8 +41,11 @@ def compiled(function: Callable[..., Any], *, told: bool = False) -> Any:
     Args:
         function: in the part of Python that numba compiles. A division by zero gives inf or nan.
         told: whether lines on stderr report the compilation and its duration.
+        fastmath: flags of LLVM for its arithmetic.
     """
-    dispatcher: Any = njit(**OPTIONS)(function)
+    if function is None:
+        return partial(compiled, told=told, fastmath=fastmath)
+    dispatcher: Any = njit(**OPTIONS, fastmath=set(fastmath))(function)
     try:
         dispatcher._cache = _Cache(function, told)  # numba's own setting of a place holds for all libraries
     except (OSError, RuntimeError):

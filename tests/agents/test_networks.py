@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import Tensor, nn
 
+from karolos.agents import layers as hidden_layers
 from karolos.agents.networks import MLP, NetworkShape
 from karolos.agents.optimisation import Adam
 from karolos.errors import UsageError
@@ -169,3 +170,15 @@ def test_parameters_that_change_before_the_backward_pass_are_an_error():
         network.vector.add_(1)
     with pytest.raises(RuntimeError, match="modified by an inplace operation"):
         loss.backward()
+
+
+def test_layer_normalisation_is_that_of_torch_and_keeps_nan():
+    rows, gradient = torch.randn((2, 5, 130), generator=torch.Generator().manual_seed(0)).add(3)
+    rows[1, 7] = torch.nan
+    raw = rows.clone().requires_grad_()
+    plain_rows = torch.nn.functional.layer_norm(raw, raw.shape[-1:], eps=hidden_layers.LAYER_NORM_EPSILON)
+    [expected] = torch.autograd.grad(plain_rows, raw, gradient)
+    rectified, means, scales = hidden_layers.normalised(rows)
+    torch.testing.assert_close(rectified, plain_rows.detach().relu(), equal_nan=True)
+    found = hidden_layers.normalised_backward(gradient.clone(), rows, means, scales)
+    torch.testing.assert_close(found, expected, equal_nan=True)
