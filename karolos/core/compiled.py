@@ -33,7 +33,7 @@ WAIT_SECONDS = 120.0
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
 
-def compiled(function: Callable[..., Any] | None = None, *, told: bool = False, fastmath: Collection[str] = ()) -> Any:
+def compiled(function: Callable[..., Any], *, told: bool = False, fastmath: Collection[str] = ()) -> Any:
     """The function, compiled at its first call and kept on disk. One process compiles, and others load.
 
     Its method `unchecked` returns it as a function that checks the types of the arguments in its first call only.
@@ -41,10 +41,8 @@ def compiled(function: Callable[..., Any] | None = None, *, told: bool = False, 
     Args:
         function: in the part of Python that numba compiles. A division by zero gives inf or nan.
         told: whether lines on stderr report the compilation and its duration.
-        fastmath: flags of LLVM for its arithmetic.
+        fastmath: numba's flags that relax the rules of floating point.
     """
-    if function is None:
-        return partial(compiled, told=told, fastmath=fastmath)
     dispatcher: Any = njit(**OPTIONS, fastmath=set(fastmath))(function)
     try:
         dispatcher._cache = _Cache(function, told)  # numba's own setting of a place holds for all libraries
