@@ -146,8 +146,8 @@ class Hindsight:
         chosen = np.flatnonzero(generator.random(slots.size, np.float32) < self.settings.ratio)
         goals = storage.column("next_achieved_goal", goal_slots[chosen])[:, : self._size]
         if self.settings.min_displacement > 0:
-            displacement = self._rule.displacement(stored["achieved_goal"].take(chosen, axis=0), goals)
-            moved = np.flatnonzero(displacement >= self.settings.min_displacement)
+            displacement = goals - stored["achieved_goal"].take(chosen, axis=0)[:, : self._size]
+            moved = np.flatnonzero(np.vecdot(displacement, displacement) >= self.settings.min_displacement**2)
             chosen, goals = chosen[moved], goals.take(moved, axis=0)
         desired, terminated = stored["desired_goal"], stored["terminated"]
         if self.settings.others_share:

@@ -137,12 +137,6 @@ class GoalRule(ABC):
         """Distance to the goal in m: shape (...); inf where it is undefined. None: the rule has no distance."""
         return None
 
-    def displacement(self, achieved: Array, goal: Array) -> FloatArray:
-        """How far the first columns of `achieved` are from a goal, in the goal's unit: shape (...). See hindsight."""
-        difference = goal - achieved[..., : goal.shape[-1]]
-        length: FloatArray = np.sqrt(np.vecdot(difference, difference))
-        return length
-
     def angle(self, achieved: Array, desired: Array) -> FloatArray | None:  # noqa: ARG002 (part of the interface)
         """Angle to the goal's orientation in rad: shape (...). None: the rule has no orientation."""
         return None

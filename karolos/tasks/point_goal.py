@@ -89,10 +89,6 @@ class Places(PointGoal):
         metres: FloatArray = self._distances(achieved, desired).max(-1)
         return metres
 
-    def displacement(self, achieved: Array, goal: Array) -> FloatArray:
-        """In m. Whether the objects are released does not count: a touch moves nothing."""
-        return self.distance(achieved, goal)
-
     def _distances(self, achieved: Array, desired: Array) -> FloatArray:
         off = (achieved - desired)[..., :-1]
         off = off.reshape(*off.shape[:-1], off.shape[-1] // 3, 3)  # also for zero goals
