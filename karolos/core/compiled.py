@@ -27,8 +27,8 @@ from ..system.files import FileLock, user_cache
 
 VARIABLE = "KAROLOS_CACHE"
 """Environment variable with the folder of compiled functions."""
-WAIT_SECONDS = 120.0
-"""Longest time that a process waits for another one that compiles. After it the process compiles, too."""
+SILENT_SECONDS, WAIT_SECONDS = 30.0, 90.0
+"""Time that a process waits for another one that compiles, without a word and after it. Then it compiles, too."""
 
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # the last two compile less
 
@@ -58,7 +58,10 @@ def compiled(function: Callable[..., Any], *, told: bool = False, fastmath: Coll
             return compile_it(signature)
         try:
             with suppress(MachineError):  # a file system without locks: each process compiles
-                lock.acquire(WAIT_SECONDS)
+                if not lock.acquire(SILENT_SECONDS):
+                    what = f"another process is compiling, or was stopped while it did ({lock.path})"
+                    print(f"{what}: waiting", file=sys.stderr)
+                    lock.acquire(WAIT_SECONDS)
             return compile_it(signature)
         finally:
             lock.release()

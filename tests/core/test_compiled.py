@@ -9,6 +9,7 @@ import pytest
 
 from karolos import system
 from karolos.core import compiled
+from karolos.system import files
 
 CALLED = "from karolos.core.compiled import compiled\n@compiled\ndef one(): return {}\n"
 SHARED = "def half(): return {}\n"
@@ -88,6 +89,17 @@ def test_a_folder_in_the_cache_that_cannot_be_written_or_a_full_disk_is_told(tmp
     first, *_, last = capsys.readouterr().err.splitlines()
     assert f"{tmp_path} cannot be written: each command compiles again" in first
     assert "cannot be written: no space" in last
+
+
+def test_who_waits_for_a_process_that_compiles_says_so_and_then_compiles(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("KAROLOS_CACHE", str(tmp_path))
+    monkeypatch.setattr(compiled, "SILENT_SECONDS", 0)
+    monkeypatch.setattr(compiled, "WAIT_SECONDS", 0)
+    compiled.cache_folder.cache_clear()
+    with files.locked(tmp_path / "lock"):
+        assert compiled.compiled(lambda: 1)() == 1
+    compiled.cache_folder.cache_clear()
+    assert f"another process is compiling, or was stopped while it did ({tmp_path / 'lock'})" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
