@@ -26,8 +26,8 @@ from .geometry import Vector, vector
 from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
 
 FINGER_MASS = 0.05
-"""Smallest mass in kg of a finger with its drive. A finger of 15 g grips with 21 in place of 30 N: the solver would
-need too many iterations."""
+"""Smallest mass in kg of a finger with its drive. The solver has too few iterations for lighter ones, which would grip
+with less than their force (docs/physics.md)."""
 CONTINUOUS_RANGE = 2 * pi
 """Range in rad to each side of a continuous joint."""
 LEAST_SIZE = 1e-6
