@@ -150,8 +150,9 @@ def test_figures_are_written_in_every_format_and_are_the_same_each_time(tmp_path
         write_figures([], written[0] / "figures")
 
 
-@pytest.mark.parametrize(("width", "font"), [(4.8, 9), (3.4, 8)])
-@pytest.mark.parametrize("name", ["a", "a_name_that_is_longer_than_what_a_figure_shows_of_it"])
+@pytest.mark.parametrize(
+    ("width", "font", "name"), [(4.8, 9, "a_name_that_is_longer_than_what_a_figure_shows_of_it"), (3.4, 8, "a")]
+)
 def test_names_of_many_contenders_have_room_of_their_own(tmp_path, width, font, name):
     compared = compare([contender(f"{name}{place}", [[place, 90]]) for place in range(40)])
     curves, final = figures.learning(compared, "steps"), figures.final(compared)
