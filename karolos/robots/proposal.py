@@ -680,7 +680,8 @@ def _corners(shape: Element) -> Array:
 def with_meshes(path: Path) -> tuple[str, dict[str, Path]]:
     """A URDF with its meshes in the folder `meshes` next to it, and the files to copy there, by their new names."""
     text, files, robot = urdf.text_of(path), dict[str, Path](), urdf.read(path)
-    for shape in [one for link in robot.iter("link") for one in link.findall("visual")]:
+    solid = [link for link in robot.iter("link") if link.find("collision") is not None]
+    for shape in [one for link in solid for one in link.findall("visual")]:
         if any(mesh.get("filename", "").lower().endswith(".dae") for mesh in shape.iter("mesh")):
             shape.clear()  # then the link is drawn by its collision shapes
     for number, name in enumerate(sorted({mesh.get("filename", "") for mesh in robot.iter("mesh")})):

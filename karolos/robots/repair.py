@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import os
 import re
+from collections import defaultdict
 from dataclasses import dataclass
+from functools import cached_property
 from importlib import import_module
 from math import pi
 from pathlib import Path
@@ -20,7 +22,7 @@ from ..errors import KarolosError, PluginError
 from ..simulation import urdf
 from ..simulation.fixtures import arm
 from ..simulation.meshes import MESH_SUFFIXES, Solid, check_size, hull, triangles
-from ..system.files import find_named, write_whole
+from ..system.files import MOST_FILES, find_named, write_whole
 from .proposal import points_of
 
 DENSITY = 1500.0
@@ -87,8 +89,9 @@ class Repair:
                     change = "expanded with the values that the file gives"
                     self.findings.append(Finding(str(path), "macros of xacro", change))
                 text = self._declared(text)
-            urdf.load(path, strict=False, text=text)  # raises an error at the line if it is not a URDF
+            carriers = urdf.load(path, strict=False, text=text).carriers  # an error at the line if it is not a URDF
             self.robot, self._lines = urdf.parse(path, text)
+            self._solid = urdf.solid_links(self.robot, carriers)
             self._repair(self.robot, mass, limits=limits)
         except PluginError as error:
             self.findings.append(Finding.of(error, path))
@@ -151,7 +154,8 @@ class Repair:
                     mesh.set("filename", str(found))
                     problem = self._unreadable(found, mesh)
                 if problem:
-                    self._found(link, problem, "" if kind == "collision" else "it is not drawn")
+                    drawn = kind == "visual" and link.get("name") in self._solid
+                    self._found(link, problem, "it is not drawn" if drawn else "")
                     link.remove(shape)
 
     def _unreadable(self, path: Path, mesh: Element) -> str:
@@ -167,12 +171,22 @@ class Repair:
 
     def _nearby(self, name: str) -> Path | None:
         """The only file of this name in the folders around the URDF; None if there is none or more than one."""
-        base, around = name.replace("\\", "/").rpartition("/")[2], self.path.absolute().parent
-        for folder in (around, around.parent, around.parent.parent):
-            found = sorted(one for one in folder.rglob(base) if one.is_file()) if base else []
-            if len(found) == 1:
-                return found[0].resolve()
-        return None
+        base = name.replace("\\", "/").rpartition("/")[2].lower()
+        return next((files[base][0].resolve() for files in self._around if len(files[base]) == 1), None)
+
+    @cached_property
+    def _around(self) -> list[dict[str, list[Path]]]:
+        """The files, by name in lower case, of the URDF's folder and of the two above it."""
+        found: list[dict[str, list[Path]]] = []
+        for folder in self.path.absolute().parents[:3]:
+            files, count = defaultdict[str, list[Path]](list), 0
+            for place, folders, names in os.walk(folder):
+                if (count := count + len(folders) + len(names)) > MOST_FILES:
+                    return found  # a home or a disk, with the meshes of other robots
+                for one in names:
+                    files[one.lower()].append(Path(place, one))
+            found.append(files)
+        return found
 
     def _weigh(self, robot: Element, loose: urdf.Description, mass: float | None) -> None:
         """Give moving links their missing masses and inertias, and the arm its whole mass."""

@@ -67,7 +67,8 @@ def arm(path: Path, speed: float, slide: float) -> Element:
     """
     root, lines = urdf.parse(path, urdf.text_of(path))
     if root.tag != "mujoco":
-        raise PluginError("not an MJCF file", where=str(path), hint="its root is <mujoco>")
+        hint = f"a URDF is called {path.stem}.urdf" if root.tag == "robot" else "its root is <mujoco>"
+        raise PluginError("not an MJCF file", where=str(path), hint=hint)
     robot: Element = _mjcf().arm(path, root, lines, speed, slide)
     return robot
 

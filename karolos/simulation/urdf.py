@@ -214,6 +214,8 @@ class _Source:
             raise PluginError("macros of xacro, which are not expanded", where=str(path), hint=hint)
         if root.tag != "robot" or root.find("link") is None:
             one = f"`karolos robot check {path.name} --repair robot.urdf` writes one" if root.tag == "mujoco" else None
+            if one is not None and path.suffix.lower() == ".urdf":  # by which commands know the format
+                one = f"it is MJCF: call it {path.stem}.xml"
             raise PluginError("not a URDF: it needs a <robot> with links", where=str(path), hint=one)
         if len(root.findall("link")) > MOST_LINKS:
             raise PluginError(f"more than {MOST_LINKS} links", where=str(path))
@@ -305,6 +307,7 @@ def load(
     programs (transmissions, ros2_control, gazebo, safety controllers) are left out. A continuous joint becomes a
     revolute one with `CONTINUOUS_RANGE` to each side. The range of the `slides` begins at 0, and their links weigh at
     least `FINGER_MASS`; one that mimics another has its limits where it lacks its own. Other mimics are left out.
+    A link without collision shapes collides as its visuals, if it is `strict` and `driven`.
 
     Args:
         locked: joints that are held at a position, in rad or m. Joints that mimic one of them are held, too.
@@ -351,7 +354,7 @@ def _load(
             carriers[child], frames[child] = carriers[parent], (above + turned @ translation, turned @ rotation)
     moving = [element for element in order if element.get("name") not in held]
     if strict:
-        _find_meshes(source)
+        _find_meshes(source, carriers, solid=driven)
         if len(moving) > MOST_JOINTS:
             hint = "an arm has five to eight; hold others by `locked`"
             raise PluginError(
@@ -403,7 +406,7 @@ def _mount(source: _Source, mount: Mount, text: str) -> None:
     carrier = next((link for link in source.robot.findall("link") if link.get("name") == mount.link), None)
     if carrier is None:
         raise PluginError(f"there is no link {mount.link!r} to mount a gripper on", where=str(source.path))
-    _find_meshes(gripper)
+    _find_meshes(gripper, {}, solid=False)
     keys = dict.fromkeys(("link", "joint", "material"), "name")
     keys |= {"parent": "link", "child": "link", "mimic": "joint"}
     for element in gripper.robot.iter():
@@ -591,13 +594,27 @@ def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> 
     )
 
 
-def _find_meshes(source: _Source) -> None:
-    """Give every mesh its absolute file name. Leave out visuals in Collada; collision shapes are drawn instead."""
+def solid_links(robot: Element, carriers: Mapping[str, str]) -> set[str]:
+    """The links with a collision shape, of their own or of a link that is merged with them."""
+    every = {link.get("name", ""): link.find("collision") is not None for link in robot.findall("link")}
+    solid = {carriers.get(name, name) for name, one in every.items() if one}
+    return {name for name in every if carriers.get(name, name) in solid}
+
+
+def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -> None:
+    """Give every mesh its absolute file name. Leave out visuals in Collada where collision shapes can be drawn.
+
+    `solid`: whether a link without collision shapes collides as its visuals.
+    """
+    known = solid_links(source.robot, carriers)
     for link in source.robot.findall("link"):
+        for shape in link.findall("visual") if solid and link.get("name") not in known else ():
+            parts = [part for part in shape if part.tag != "material"]
+            ElementTree.SubElement(link, "collision").extend(copy.deepcopy(parts))
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             for mesh in shape.iter("mesh"):
                 name = mesh.get("filename", "")
-                if shape.tag == "visual" and name.lower().endswith(".dae"):
+                if shape.tag == "visual" and name.lower().endswith(".dae") and link.get("name") in known:
                     link.remove(shape)
                     continue
                 found = find_named(name, source.path.parent)

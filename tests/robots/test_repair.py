@@ -44,6 +44,26 @@ def test_all_mistakes_are_found_at_once_and_repaired(arm, tmp_path):
     propose(copy)
 
 
+def test_a_mesh_is_found_by_its_name_in_another_folder_or_case_and_on_no_whole_disk(arm, monkeypatch):
+    edit(arm, "small_description/meshes/mark.obj", "elsewhere/MARK.obj")
+    [found] = Repair(arm).findings
+    assert found.change.endswith("small_description/meshes/mark.obj, which has its name")
+    monkeypatch.setattr("karolos.robots.repair.MOST_FILES", 1)
+    assert Repair(arm).findings[0].change == "it is not drawn"
+
+
+def test_a_mesh_of_a_link_without_collision_shapes_cannot_be_left_out(arm):
+    edit(arm, "<collision>.*?</collision>", "")
+    edit(arm, "small_description/meshes", "elsewhere")
+    (arm.parent.parent / "meshes" / "mark.obj").unlink()
+    assert Repair(arm).findings[0].change == ""
+
+
+def test_a_urdf_that_has_the_suffix_of_mjcf_gets_another_name(arm):
+    [found] = Repair(arm.rename(arm.with_suffix(".xml"))).findings
+    assert found.what == "not an MJCF file; a URDF is called small.urdf"
+
+
 def test_a_sound_file_has_no_findings_and_is_scaled_to_its_mass(arm, tmp_path):
     assert not Repair(arm).findings
     edit(arm, 'lower="-0.035" upper="0" effort="15"', 'effort="0"')  # a finger that mimics the other needs no limits

@@ -101,6 +101,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
         ("<robot", "not an XML file"),
         ('<!DOCTYPE r [\n<!ENTITY e "x">]><robot/>', "urdf:2: it declares the entity 'e'"),
         ("<house/>", "not a URDF"),
+        ("<mujoco/>", r"not a URDF: .*; it is MJCF: call it robot\.xml"),
         ('<robot xmlns:x="http://www.ros.org/wiki/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
         ('<robot xmlns:x="http://wiki.ros.org/xacro"><x:macro/></robot>', "not expanded; `karolos robot check"),
         (robot(A, '<joint name="j" type="screw"/>'), "joint j: a screw joint"),
@@ -184,6 +185,20 @@ def test_a_mesh_is_found_beside_the_urdf_and_by_its_package_wherever_the_urdf_st
     other.rename(mesh)
     renamed = (tmp_path / "my_robot").rename(tmp_path / "robot-main")
     assert find_named("package://my_robot/meshes/arm.stl", renamed / "urdf") == renamed / "meshes" / "arm.stl"
+
+
+def test_a_link_collides_as_it_is_drawn_if_nothing_else_is_fixed_to_it_that_collides(load, tmp_path):
+    (tmp_path / "ball.dae").write_text("no Collada: it is not read where collision shapes can be drawn")
+    drawn = f'<visual><origin xyz="0 0 1"/>{BALL}{COLOUR}</visual>'
+    dae = '<visual><geometry><mesh filename="ball.dae"/></geometry></visual>'
+    solid = f'<link name="c">{dae}{drawn}</link><link name="d"><collision>{BALL}</collision></link>'
+    fixed = "".join(turning(ends, *ends, "").replace("revolute", "fixed") for ends in ("bc", "cd"))
+    for more, kept in (("", ["0 0 1"]), (solid + fixed, ["0.0 0.0 0.0"])):
+        found = load(robot(A, B.replace("</link>", f"{drawn}</link>"), J, more)).robot
+        assert [one.get("xyz") for one in found.findall("link[@name='b']/collision/origin")] == kept
+        assert found.find("link/collision/material") is None
+    with pytest.raises(PluginError, match="cannot be read as Collada"):
+        load(robot(A, B.replace("</link>", f"{dae}</link>"), J))
 
 
 def test_an_inertia_that_no_body_can_have_is_corrected_as_little_as_possible(load):
