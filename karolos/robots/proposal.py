@@ -53,6 +53,8 @@ LEAST_JOINTS = 5
 """Least number of turning joints of an arm: with fewer it cannot point its tool down at any place."""
 DOUBTED_SPEED, DOUBTED_ANGLE, DOUBTED_TRAVEL = 2 * pi, 4 * pi, 2.0
 """Largest plausible limits of joints: speed in rad/s, angle in rad, speed in m/s or range in m of a slide."""
+DOUBTED_RANGE = 0.2
+"""Smallest plausible range of a turning joint in rad."""
 SLOW = 0.4
 """Smallest plausible speed in rad/s."""
 DOUBTED_MASS, DOUBTED_RADII, DOUBTED_LENGTH = 500.0, (0.001, 1.0), 3.0
@@ -171,9 +173,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         site = other if other.worth > BETTER * site.worth else site
     place, whole, poses = site.place, site.whole, site.poses
     if place is None:
-        what = f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found that the tool reaches pointing down"
-        hint = "choose the tool with --tool LINK; the z axis of the base points upwards"
-        raise PluginError(what, where=str(path), hint=hint)
+        raise _unplaced(path, joints)
     low, high, dexterous = place.workspace.low, place.workspace.high, place.dexterous
     where = "none found: tasks whose goal is a pose refuse this robot"
     if dexterous is not None:
@@ -230,6 +230,15 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
     overload = f"gravity takes {', '.join(weights)} of the torque: the arm cannot hold itself and its hand"
     noted = tuple(note for note, holds in notes.items() if holds)
     return Proposal(model, summary, noted, overload if max(shares) > WEAK else "")
+
+
+def _unplaced(path: Path, joints: Sequence[Joint]) -> PluginError:
+    """The error of an arm without a home and a workspace."""
+    what = f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found that the tool reaches pointing down"
+    hint = "choose the tool with --tool LINK; the z axis of the base points upwards"
+    if narrow := [joint.name for joint in joints if joint.upper - joint.lower < DOUBTED_RANGE]:
+        hint = f"{', '.join(narrow)} turn by less than {DOUBTED_RANGE:g} rad; angles of MJCF are in degrees by default"
+    return PluginError(what, where=str(path), hint=hint)
 
 
 def _read(
@@ -516,7 +525,8 @@ def _flanges(
     ends = (shapes.min(0, initial=0.0) + shapes.max(0, initial=0.0)) / 2
     parallel = [frame[:, 2] for _, frame in beyond.values() if abs(frame[:, 2] @ axis) > PARALLEL]
     hints = (*parallel, *(origin for origin, _ in beyond.values()), place, before, ends)
-    approach = _approach(turn if name is not None else None, axis, hints, sure=known.flange is not None)
+    ahead = [*(origin for origin, _ in beyond.values()), place]
+    approach = _approach(turn if name is not None else None, axis, hints, ahead, sure=known.flange is not None)
     if name is None and beyond:
         nearest = min((origin for origin, _ in beyond.values()), key=lambda one: float(one @ approach))
         place = nearest if len(beyond) == 1 else approach * float(nearest @ approach)
@@ -544,18 +554,20 @@ def _frame_of(found: urdf.Description, last: Joint, name: str | None) -> tuple[A
     return found.frames[name] if name is not None else (np.zeros(3), np.eye(3))
 
 
-def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], *, sure: bool) -> Array:
+def _approach(turn: Array | None, axis: Array, hints: Iterable[Array], ahead: Sequence[Array], *, sure: bool) -> Array:
     """The direction (3,) in which a tool extends from the last link.
 
     Args:
         turn: rotation (3, 3) of a named frame; None: no frame is named.
         axis: of the last joint. The tool extends along it, unless the frame is sure.
         hints: points and directions (3,) ahead of the tool, the best first.
+        ahead: points (3,) of the file's own hand and the frame. If all are behind the joint, the frame's z is, too.
         sure: whether a person named the frame.
     """
     if turn is not None and (sure or abs(turn[:, 2] @ axis) >= PARALLEL):
         found: Array = turn[:, 2]
-        return found
+        behind = len(ahead) > 1 and all(float(point @ found) < -0.005 for point in ahead)
+        return -found if behind and not sure else found
     along = [depth for hint in hints if abs(depth := float(hint @ axis)) > 0.005]
     return -axis if along and along[0] < 0 else axis
 
@@ -623,7 +635,7 @@ def _tool(found: urdf.Description, path: Path, last: Joint, hand: _Hand, named: 
     before = np.transpose(last.rotation) @ last.origin  # from the joint before to this one
     middle, ends = ((points.min(0, initial=0.0) + points.max(0, initial=0.0)) / 2 for points in (tips, shapes))
     approach = _approach(
-        turn if name is not None else None, axis, (middle, place, before, ends), sure=named is not None
+        turn if name is not None else None, axis, (middle, place, before, ends), [*tips, place], sure=named is not None
     )
     what = f"the frame {name}"
     if abs(approach @ hand.across) > 0.1:

@@ -86,6 +86,13 @@ def _triangles(path: Path, data: bytes) -> NDArray[np.float32]:
     return found
 
 
+def is_flat(path: Path) -> bool:
+    """Whether the corners of a mesh are in one plane, except for rounding. Raises PluginError as `triangles`."""
+    corners = triangles(path).reshape(-1, 3)
+    sizes = np.linalg.svd(corners - corners.mean(0), compute_uv=False)
+    return bool(sizes[-1] <= ROUNDING * sizes[0])
+
+
 def stl(corners: NDArray[np.floating[Any]]) -> bytes:
     """Triangles (n, 3, 3) as binary STL."""
     made = np.zeros(len(corners), _TRIANGLE)
@@ -125,7 +132,8 @@ def _solid(path: Path, data: bytes) -> Solid:
     try:
         hull = ConvexHull(corners.astype(float))
     except QhullError:
-        raise PluginError("flat: its corners are in one plane", where=str(path)) from None
+        hint = "a shape that collides needs a thickness"
+        raise PluginError("flat: its corners are in one plane", where=str(path), hint=hint) from None
     a, b, c = (faces := faces.reshape(-1, 3)).T
     mesh = trimesh.Trimesh(corners, faces[(a != b) & (b != c) & (c != a)], process=False)
     if not _closed(faces := np.array(mesh.faces)) and mesh.is_watertight:

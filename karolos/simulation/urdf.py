@@ -23,7 +23,7 @@ from ..core import Array
 from ..errors import PluginError
 from ..system.files import find_named, install_hint
 from .geometry import Vector, vector
-from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size
+from .meshes import LARGEST_NUMBER, MESH_SUFFIXES, check_size, is_flat
 
 FINGER_MASS = 0.05
 """Smallest mass in kg of a finger with its drive. The solver has too few iterations for lighter ones, which would grip
@@ -608,9 +608,6 @@ def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -
     """
     known = solid_links(source.robot, carriers)
     for link in source.robot.findall("link"):
-        for shape in link.findall("visual") if solid and link.get("name") not in known else ():
-            parts = [part for part in shape if part.tag != "material"]
-            ElementTree.SubElement(link, "collision").extend(copy.deepcopy(parts))
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             for mesh in shape.iter("mesh"):
                 name = mesh.get("filename", "")
@@ -626,6 +623,10 @@ def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -
                     raise source.error(link, f"cannot read the mesh {short(name)}", hint=hint)
                 check_size(found, [float(one) for one in mesh.get("scale", "1 1 1").split()])
                 mesh.set("filename", str(found))
+        for shape in link.findall("visual") if solid and link.get("name") not in known else ():
+            if not any(is_flat(Path(mesh.get("filename", ""))) for mesh in shape.iter("mesh")):  # a label
+                parts = [part for part in shape if part.tag != "material"]
+                ElementTree.SubElement(link, "collision").extend(copy.deepcopy(parts))
 
 
 def _check_link(link: Element, source: _Source, *, base: bool, least: float) -> bool:

@@ -45,6 +45,23 @@ def test_the_tool_is_at_the_tips_of_the_fingers_where_no_frame_names_it(path):
     assert propose(path).model.tool == pytest.approx((0, 0, TOOL + 0.015 - 0.01), abs=1e-6)
 
 
+def test_a_tool_frame_whose_z_points_back_into_the_arm_is_turned_towards_the_fingers(path):
+    text, place = path.read_text(), f'<child link="tool0"/><origin xyz="0 0 {TOOL}"'
+    assert place in text
+    path.write_text(text.replace(place, f'{place} rpy="3.14159265 0 0"'))
+    found = propose(path)
+    assert found.model.tool == (0, 0, TOOL)
+    assert any(note.startswith("tool: the frame tool0") and "along 0.000 0.000 1.000" in note for note in found.notes)
+
+
+def test_limits_in_another_unit_are_named_where_the_tool_reaches_nothing(path):
+    path.write_text(path.read_text().replace('lower="-3.0" upper="3.0"', 'lower="-0.05" upper="0.05"'))
+    with pytest.raises(
+        PluginError, match=r"pointing down; joint1, .*, joint5 turn by less than 0.2 rad; angles of MJCF"
+    ):
+        propose(path)
+
+
 def test_a_gripper_with_turning_fingers_is_locked(path):
     path.write_text(path.read_text().replace('"prismatic"', '"revolute"'))
     found = propose(path)

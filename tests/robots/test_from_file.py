@@ -1,5 +1,6 @@
 """The robot `urdf`: an arm from somebody's file, with the gripper that a spec names."""
 
+import re
 from itertools import product
 from pathlib import Path
 
@@ -224,6 +225,31 @@ def test_one_of_two_arms_in_an_mjcf_file_is_chosen_by_its_tool_and_a_mesh_that_i
     robot = robot_of(path, gripper="robotiq_2f85", mass=9.0, tool="righthand")
     assert robot.limits.effort == tuple(float(torque) for *_, torque in LINKS)
     assert robot.model.cut == ("righthand_fixed",)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "said"),
+    [
+        ('file="elsewhere/mark.obj"', None),
+        ('file="MARK.obj"', "there is no file .*MARK.obj"),
+        ('file="mark.msh"', r"it is no file of \.stl, \.obj, \.dae; convert it"),
+        ('file="mark.obj" scale="1 -1 1"', "several scales; apply them to its file"),
+        ('file="mark.obj" scale="1000 1000 1000"', r'mark\.obj: a part of 10 m; in millimetres\? set scale="0.001'),
+        ('file="label.obj"', None),
+    ],
+)
+def test_a_mesh_of_an_mjcf_file_is_found_as_mujoco_finds_it_or_its_defect_has_a_line(arm, mesh, said):
+    (arm.parents[1] / "meshes" / "label.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nv .1 .1 0\nf 1 2 4 3\n")
+    assets = f'<compiler meshdir="../meshes" strippath="true"/><asset><mesh name="m" inertia="shell" {mesh}/></asset>'
+    drawn = '<geom type="mesh" mesh="m" contype="0" conaffinity="0"/>'
+    world = f'<worldbody><body name="base">{drawn}{mjcf_arm("", lambda torque: "")}</body></worldbody>'
+    path = write(arm.parent, "arm.xml", f"<mujoco>{assets}{world}</mujoco>")
+    repair = Repair(path)
+    if said is None:
+        assert repair.robot is not None
+        assert len(repair.robot.findall("link[@name='base']/collision")) == ("label" not in mesh)
+    else:
+        assert re.search(f"arm.xml:1: mesh m: .*{said}", f"{repair.findings[0].where}: {repair.findings[0].what}")
 
 
 def test_a_repair_is_a_setting_and_part_of_the_experiment_only_if_it_is_on(arm):

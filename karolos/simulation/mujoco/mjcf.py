@@ -216,6 +216,7 @@ class _MjcfFile:
             first = model.body_geomadr[number]
             geoms = range(first, first + model.body_geomnum[number])
             solid = [one for one in geoms if model.geom_contype[one] or model.geom_conaffinity[one]]
+            drawn = [one for one in geoms if not self._flat(one)]
             yield _MjcfBody(
                 element=elements[number],
                 name=self._name(number),
@@ -223,7 +224,7 @@ class _MjcfFile:
                 position=model.body_pos[number].copy(),
                 orientation=_quaternion(model.body_quat[number]),
                 joints=joints,
-                shapes=[self._shape(one, pivot, collision) for one in solid or geoms],
+                shapes=[self._shape(one, pivot, collision) for one in solid or drawn],
                 mass=mass,
                 inertia=Inertia(vector(centre), moments, axes) if mass else None,
             )
@@ -275,29 +276,26 @@ class _MjcfFile:
         for part in [*spec.materials, *spec.textures, *spec.skins]:
             spec.delete(part)
         spec.compiler.fusestatic = spec.compiler.discardvisual = False
-        readable = {}
+        problems: dict[str, str] = {}
         for mesh in spec.meshes:
-            file = folder / mesh.file
-            usable = mesh.file and file.is_file() and file.suffix.lower() in meshes.MESH_SUFFIXES
-            if usable and not np.ptp(mesh.scale) and not np.any(mesh.refpos) and abs(mesh.refquat[0]) == 1:
-                readable[mesh.name] = file, float(mesh.scale[0])
+            file = folder / (Path(mesh.file).name if spec.strippath else mesh.file)
+            if problem := _unusable(mesh, file):
+                problems[mesh.name] = problem
+            else:
+                self._meshes[mesh.name] = file, float(mesh.scale[0])
         for body in spec.bodies:
             geoms = list(body.geoms)
             solid = [geom for geom in geoms if geom.contype or geom.conaffinity] or geoms
             for geom in geoms:
-                if geom.type != mujoco.mjtGeom.mjGEOM_MESH or geom.meshname in readable:
+                if geom.type != mujoco.mjtGeom.mjGEOM_MESH or geom.meshname not in problems:
                     continue
                 if geom in solid:
-                    needs = (
-                        f"it needs a file of {', '.join(meshes.MESH_SUFFIXES)}, one scale for all axes, and no refpos"
-                    )
-                    raise self.error(spec.mesh(geom.meshname) or geom, needs)
+                    raise self.error(spec.mesh(geom.meshname), problems[geom.meshname])
                 spec.delete(geom)
         used = {geom.meshname for geom in spec.geoms}
         for mesh in list(spec.meshes):
             if mesh.name not in used:
                 spec.delete(mesh)
-        self._meshes = readable
 
     def _name(self, number: int) -> str:
         """The name of a body; "" for the world."""
@@ -328,6 +326,11 @@ class _MjcfFile:
             },
         )
 
+    def _flat(self, number: int) -> bool:
+        """Whether a geom is a mesh without a convex hull."""
+        name = self._model.mesh(self._model.geom_dataid[number]).name if self._model.geom_dataid[number] >= 0 else ""
+        return name in self._meshes and meshes.is_flat(self._meshes[name][0])
+
     def _shape(self, number: int, pivot: Array, collision: meshes.Collision | None) -> Shape:
         """The shape of a geom in the frame at `pivot` (3,) of its body."""
         model = self._model
@@ -356,6 +359,21 @@ class _MjcfFile:
             raise self.error(element, str(error)) from None
         name = kind.name.removeprefix("mjGEOM_").lower()
         raise self.error(element, f"its type is {name}; known are box, sphere, cylinder, capsule and mesh")
+
+
+def _unusable(mesh: Any, file: Path) -> str:
+    """Why karolos cannot use a mesh; empty if it can."""
+    if not mesh.file or file.suffix.lower() not in meshes.MESH_SUFFIXES:
+        return f"it is no file of {', '.join(meshes.MESH_SUFFIXES)}; convert it"
+    if not file.is_file():
+        return f"there is no file {file}"
+    if np.ptp(mesh.scale) or np.any(mesh.refpos) or abs(mesh.refquat[0]) != 1:
+        return "it has refpos, refquat, or several scales; apply them to its file, and leave them out"
+    try:
+        meshes.check_size(file, mesh.scale.tolist())
+    except PluginError as error:  # which does not know the line
+        return str(error)
+    return ""
 
 
 def _quaternion(numbers: Array) -> Quaternion:
