@@ -623,7 +623,9 @@ def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -
                     raise source.error(link, f"cannot read the mesh {short(name)}", hint=hint)
                 check_size(found, [float(one) for one in mesh.get("scale", "1 1 1").split()])
                 mesh.set("filename", str(found))
-        for shape in link.findall("visual") if solid and link.get("name") not in known else ():
+        name = link.get("name", "")
+        marker = carriers.get(name, name) != name and link.find("inertial") is None  # of a frame
+        for shape in link.findall("visual") if solid and name not in known and not marker else ():
             if not any(is_flat(Path(mesh.get("filename", ""))) for mesh in shape.iter("mesh")):  # a label
                 parts = [part for part in shape if part.tag != "material"]
                 ElementTree.SubElement(link, "collision").extend(copy.deepcopy(parts))

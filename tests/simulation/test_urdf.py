@@ -197,6 +197,8 @@ def test_a_link_collides_as_it_is_drawn_if_nothing_else_is_fixed_to_it_that_coll
         found = load(robot(A, B.replace("</link>", f"{drawn}</link>"), J, more)).robot
         assert [one.get("xyz") for one in found.findall("link[@name='b']/collision/origin")] == kept
         assert found.find("link/collision/material") is None
+    marker = f'<link name="c">{drawn}</link>' + turning("bc", "b", "c", "").replace("revolute", "fixed")
+    assert load(robot(A, B, J, marker)).robot.find("link/collision") is None
     (tmp_path / "label.obj").write_text("v 0 0 0\nv .1 0 0\nv 0 .1 0\nf 1 2 3\n")
     label = '<visual><geometry><mesh filename="label.obj"/></geometry></visual>'
     assert len(load(robot(A, B.replace("</link>", f"{label}{drawn}</link>"), J)).robot.findall("link/collision")) == 1
