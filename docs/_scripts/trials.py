@@ -26,8 +26,8 @@ SEEDS = 2
 """Of each trial; reaching, which takes seconds, has five."""
 STEPS = {
     "reach": 2_000,
-    "stack_demos": 20_000,
-    "slide_demos": 40_000,
+    "push": 30_000,
+    "pick": 30_000,
 }
 """Task, as in the name of a spec -> the steps of a trial: where the shipped spec has learned, or nearly."""
 TRIALS: dict[str, tuple[str, ...]] = {
@@ -42,9 +42,10 @@ TRIALS: dict[str, tuple[str, ...]] = {
     "discount": ("agent.discount=0.98",),
     "n_step": ("buffer.n_step=3",),
     "updates": ("training.batch_size=128",),  # replay_ratio counts samples
-    "learning_rate": ("agent.learning_rate=5e-4",),
-    "slow_targets": ("agent.tau=0.01",),
-    "three_layers": ("agent.hidden=[256,256,256]",),
+    "learning_rate": ("agent.learning_rate=1e-3",),
+    "slow_targets": ("agent.tau=0.05",),
+    "wide": ("agent.hidden=[256,256]",),
+    "three_layers": ("agent.hidden=[128,128,128]",),
     "no_layer_norm": ("agent.layer_norm=false",),
     "quantiles": ("agent.critic={quantiles: 25}",),
     "policy_delay": ("agent.policy_delay=1",),
