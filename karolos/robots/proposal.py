@@ -200,7 +200,7 @@ def propose(path: Path, gripper: str | None = None, known: Known = NOTHING) -> P
         f"base: {base}{merged and f' (with {merged})'}, at the origin of the world, {standing}": True,
         f"arm: {', '.join(joint.name for joint in joints)}": True,
         hand_note: True,
-        f"locked: {', '.join(still)} do not move": still,
+        f"locked, they do not move: {', '.join(still)}": still,
         f"inertia of {heavy}: no body can have it; its smaller moments are raised": heavy,
         **{f"doubted: {doubt}": True for doubt in doubts(found)},
         f"doubted: gravity takes {', '.join(weights)} of the torque; compare the data sheet": weights,
@@ -361,6 +361,8 @@ def doubts(found: urdf.Description) -> list[str]:
         least, _, most = np.linalg.eigvalsh(tensor).tolist()
         if not DOUBTED_RADII[0] ** 2 <= least / mass <= most / mass <= DOUBTED_RADII[1] ** 2:
             said[f"moments from {least:.3g} to {most:.3g} kg m2 at {mass:g} kg; compare the CAD"].append(f"link {name}")
+    if found.robot.find("link/collision") is None:
+        said["without shapes, so it collides with nothing"].append("the arm")
     length = _length([joint for joint in found.joints if joint.revolute], found)
     if length > DOUBTED_LENGTH:
         said["in other units than metres?"].append(f"a length of {length:.3g} m")

@@ -194,8 +194,8 @@ def parse(path: Path, text: str) -> tuple[Element, dict[Element, int]]:
     try:
         parser.Parse(text.encode(), True)
     except expat.ExpatError as error:
-        hint = "a robot needs a valid URDF"
-        raise PluginError(f"not an XML file: {error}", where=str(path), hint=hint) from None
+        what, place = expat.ErrorString(error.code), f"{path}:{error.lineno}:{error.offset + 1}"
+        raise PluginError(f"not an XML file: {what}", where=place, hint="a robot needs a valid URDF") from None
     return builder.close(), lines
 
 

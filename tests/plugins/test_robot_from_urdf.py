@@ -67,7 +67,7 @@ def test_a_gripper_with_turning_fingers_is_locked(path):
     found = propose(path)
     assert found.model.fingers is None
     assert found.model.locked == {"slide1": 0.0}
-    assert "locked: slide1, slide2 do not move" in found.notes
+    assert "locked, they do not move: slide1, slide2" in found.notes
 
 
 @pytest.mark.parametrize(
@@ -194,6 +194,8 @@ def test_numbers_that_are_hardly_meant_and_tool_frames_that_were_not_taken_are_n
         "doubted: link link3: moments from 1e+04 to 1e+04 kg m2 at 1.2 kg; compare the CAD",
         "doubted: link link5: 800 kg; are these grams?",
     ]
+    path.write_text(re.sub(r"(?s)<(collision|visual)>.*?</\1>", "", text))
+    assert "the arm: without shapes, so it collides with nothing" in doubts(urdf.load(path, strict=False))
     assert "; not flange, which --tool LINK chooses" in next(note for note in notes if "the frame tool0" in note)
 
 

@@ -98,7 +98,7 @@ LIMITS = r"urdf:1: joint j: limits must satisfy lower < upper, effort > 0, veloc
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("<robot", "not an XML file"),
+        ("<robot", r"urdf:1:1: not an XML file: unclosed token"),
         ('<!DOCTYPE r [\n<!ENTITY e "x">]><robot/>', "urdf:2: it declares the entity 'e'"),
         ("<house/>", "not a URDF"),
         ("<mujoco/>", r"not a URDF: .*; it is MJCF: call it robot\.xml"),

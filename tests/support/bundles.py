@@ -1,7 +1,9 @@
 """Bundles of policies that ship."""
 
+import atexit
 from functools import cache
 from pathlib import Path
+from shutil import rmtree
 from tempfile import mkdtemp
 
 import pytest
@@ -19,6 +21,7 @@ def bundle_of(name: str) -> Path:
     Nobody changes it.
     """
     out = Path(mkdtemp(prefix="karolos-bundle-")) / name
+    atexit.register(rmtree, out.parent, ignore_errors=True)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(bundle, "write_film", lambda *what: write_film(*what[:-1], (64, 48)))
         patch.setattr(bundle, "EPISODES", 6)
