@@ -237,7 +237,8 @@ def _unplaced(path: Path, joints: Sequence[Joint]) -> PluginError:
     what = f"no box of {100 * SMALLEST_WORKSPACE:g} cm was found that the tool reaches pointing down"
     hint = "choose the tool with --tool LINK; the z axis of the base points upwards"
     if narrow := [joint.name for joint in joints if joint.upper - joint.lower < DOUBTED_RANGE]:
-        hint = f"{', '.join(narrow)} turn by less than {DOUBTED_RANGE:g} rad; angles of MJCF are in degrees by default"
+        unit = "a URDF has rad, and MJCF degrees unless it says otherwise"
+        hint = f"{', '.join(narrow)} turn by less than {DOUBTED_RANGE:g} rad; {unit}"
     return PluginError(what, where=str(path), hint=hint)
 
 

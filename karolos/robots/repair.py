@@ -91,7 +91,7 @@ class Repair:
                 text = self._declared(text)
             carriers = urdf.load(path, strict=False, text=text).carriers  # an error at the line if it is not a URDF
             self.robot, self._lines = urdf.parse(path, text)
-            self._solid = urdf.solid_links(self.robot, carriers)
+            self._drawn = urdf.drawn_links(self.robot, carriers)
             self._repair(self.robot, mass, limits=limits)
         except PluginError as error:
             self.findings.append(Finding.of(error, path))
@@ -154,7 +154,7 @@ class Repair:
                     mesh.set("filename", str(found))
                     problem = self._unreadable(found, mesh)
                 if problem:
-                    drawn = kind == "visual" and link.get("name") in self._solid
+                    drawn = kind == "visual" and link.get("name") in self._drawn
                     self._found(link, problem, "it is not drawn" if drawn else "")
                     link.remove(shape)
 

@@ -594,24 +594,30 @@ def _joint(element: Element, source: _Source, *, strict: bool, driven: bool) -> 
     )
 
 
-def solid_links(robot: Element, carriers: Mapping[str, str]) -> set[str]:
-    """The links with a collision shape, of their own or of a link that is merged with them."""
-    every = {link.get("name", ""): link.find("collision") is not None for link in robot.findall("link")}
-    solid = {carriers.get(name, name) for name, one in every.items() if one}
-    return {name for name in every if carriers.get(name, name) in solid}
+def drawn_links(robot: Element, carriers: Mapping[str, str]) -> set[str]:
+    """The links whose visuals are only drawn: others collide as their visuals.
+
+    These are links with a collision shape, of their own or of a link that is merged with them, and markers: frames
+    without mass.
+    """
+    links = {link.get("name", ""): link for link in robot.findall("link")}
+    bodies = {name: carriers.get(name, name) for name in links}
+    solid = {bodies[name] for name, link in links.items() if link.find("collision") is not None}
+    frames = {name for name, link in links.items() if bodies[name] != name and link.find("inertial") is None}
+    return frames | {name for name in links if bodies[name] in solid}
 
 
 def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -> None:
-    """Give every mesh its absolute file name. Leave out visuals in Collada where collision shapes can be drawn.
+    """Give every mesh its absolute file name. Leave out visuals in Collada that are only drawn.
 
-    `solid`: whether a link without collision shapes collides as its visuals.
+    `solid`: whether the links that are not among the `drawn_links` collide as their visuals.
     """
-    known = solid_links(source.robot, carriers)
+    drawn = drawn_links(source.robot, carriers)
     for link in source.robot.findall("link"):
         for shape in [*link.findall("visual"), *link.findall("collision")]:
             for mesh in shape.iter("mesh"):
                 name = mesh.get("filename", "")
-                if shape.tag == "visual" and name.lower().endswith(".dae") and link.get("name") in known:
+                if shape.tag == "visual" and name.lower().endswith(".dae") and link.get("name") in drawn:
                     link.remove(shape)
                     continue
                 found = find_named(name, source.path.parent)
@@ -623,9 +629,7 @@ def _find_meshes(source: _Source, carriers: Mapping[str, str], *, solid: bool) -
                     raise source.error(link, f"cannot read the mesh {short(name)}", hint=hint)
                 check_size(found, [float(one) for one in mesh.get("scale", "1 1 1").split()])
                 mesh.set("filename", str(found))
-        name = link.get("name", "")
-        marker = carriers.get(name, name) != name and link.find("inertial") is None  # of a frame
-        for shape in link.findall("visual") if solid and name not in known and not marker else ():
+        for shape in link.findall("visual") if solid and link.get("name") not in drawn else ():
             if not any(is_flat(Path(mesh.get("filename", ""))) for mesh in shape.iter("mesh")):  # a label
                 parts = [part for part in shape if part.tag != "material"]
                 ElementTree.SubElement(link, "collision").extend(copy.deepcopy(parts))

@@ -57,7 +57,7 @@ def test_a_tool_frame_whose_z_points_back_into_the_arm_is_turned_towards_the_fin
 def test_limits_in_another_unit_are_named_where_the_tool_reaches_nothing(path):
     path.write_text(path.read_text().replace('lower="-3.0" upper="3.0"', 'lower="-0.05" upper="0.05"'))
     with pytest.raises(
-        PluginError, match=r"pointing down; joint1, .*, joint5 turn by less than 0.2 rad; angles of MJCF"
+        PluginError, match=r"pointing down; joint1, .*, joint5 turn by less than 0.2 rad; a URDF has rad"
     ):
         propose(path)
 

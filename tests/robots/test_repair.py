@@ -59,6 +59,14 @@ def test_a_mesh_of_a_link_without_collision_shapes_cannot_be_left_out(arm):
     assert Repair(arm).findings[0].change == ""
 
 
+def test_a_mesh_that_marks_a_frame_can_be_left_out(arm):
+    mark = '<link name="mark"><visual><geometry><mesh filename="none.obj"/></geometry></visual></link>'
+    fixed = '<joint name="mark" type="fixed"><parent link="link6"/><child link="mark"/></joint>'
+    edit(arm, "<collision>.*?</collision>", "")
+    edit(arm, "</robot>", f"{mark}{fixed}</robot>")
+    assert [one.change for one in Repair(arm).findings if "none.obj" in one.what] == ["it is not drawn"]
+
+
 def test_a_urdf_that_has_the_suffix_of_mjcf_gets_another_name(arm):
     [found] = Repair(arm.rename(arm.with_suffix(".xml"))).findings
     assert found.what == "not an MJCF file; a URDF is called small.urdf"

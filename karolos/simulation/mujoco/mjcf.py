@@ -216,7 +216,6 @@ class _MjcfFile:
             first = model.body_geomadr[number]
             geoms = range(first, first + model.body_geomnum[number])
             solid = [one for one in geoms if model.geom_contype[one] or model.geom_conaffinity[one]]
-            drawn = [one for one in geoms if not self._flat(one)]
             yield _MjcfBody(
                 element=elements[number],
                 name=self._name(number),
@@ -224,7 +223,10 @@ class _MjcfFile:
                 position=model.body_pos[number].copy(),
                 orientation=_quaternion(model.body_quat[number]),
                 joints=joints,
-                shapes=[self._shape(one, pivot, collision) for one in solid or drawn],
+                shapes=[
+                    self._shape(one, pivot, collision)
+                    for one in solid or [geom for geom in geoms if not self._flat(geom)]
+                ],
                 mass=mass,
                 inertia=Inertia(vector(centre), moments, axes) if mass else None,
             )
