@@ -50,7 +50,7 @@ def check(runs: Runs = Path("runs"), database: Database = None, json: Json = Fal
         found = [one.row() for one in differences(store, runs)]
     print_rows(found, json=json)
     if found:
-        say(f"{len(found)} differences; `karolos db reindex` corrects the database, but changes no folder")
+        say(f"{len(found)} difference{'s' * (len(found) > 1)}; `karolos db reindex` corrects the database, but changes no folder")
         raise typer.Exit(StoreError.exit_code)
     say("the database agrees with the run folders")
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from time import perf_counter
 from typing import Any
 
 from ..core import State
@@ -21,11 +22,13 @@ from .writer import RunWriter
 BEST = "best"
 PENDING = ("steps", "updates", "seconds", "agent")
 """Fields of a pending test that `last` contains."""
+LONGEST_SECONDS = 300.0
+"""A run without a checkpoint for this time writes one at its next report."""
 
 
 @dataclass
 class Checkpointer:
-    """Writes checkpoints after each test and at the end of training.
+    """Writes checkpoints after each test, between tests that are far apart, and at the end of training.
 
     A checkpoint that cannot be written is a warning; the one before it stays.
     """
@@ -43,6 +46,7 @@ class Checkpointer:
     """`_rank` of the best test."""
     _saved_at: tuple[int, int] = field(default=(-1, 0), init=False)
     """Environment steps and pending tests at the last checkpoint `last`."""
+    _saved_time: float = field(default_factory=perf_counter, init=False)
     last_is_whole: bool = field(default=False, init=False)
     """Whether the run resumed from `last` or wrote it. A `last` that may be damaged does not replace `previous`."""
 
@@ -94,10 +98,16 @@ class Checkpointer:
                 self._choose(test, results[test.steps])
         return [test for test in tests if test.steps not in results]
 
+    def reported(self, training: Training) -> None:
+        """Episodes and metrics of training until now are written: a run that is killed can continue from here."""
+        if perf_counter() - self._saved_time >= LONGEST_SECONDS:
+            self.save(training)
+
     def save(self, training: Training) -> None:
         """Write `last`: what the run needs to resume bit for bit. The checkpoint before becomes `previous`."""
         if self._saved_at == (training.steps, len(self.pending)):
             return
+        self._saved_time = perf_counter()
         self.writer.announce("checkpoint", 0, 1)
         parts = {
             "agent": training.agent.state(),

@@ -61,6 +61,8 @@ class PendingTests:
         """Word for announcements."""
         self._any_finished = False
         """Whether this process has seen a result."""
+        self._told = 0
+        """Episodes of finished tests that announcements count, until no test is pending."""
         self._results: dict[DueEvaluation, Evaluation] = {}
         """The results of parts of pending tests."""
         self._evaluator = Evaluator(spec)
@@ -103,6 +105,7 @@ class PendingTests:
         while self.pending and self._is_over(self.pending[0]):
             self._any_finished = True
             test = self.pending.pop(0)
+            self._told = self._told + len(test.seeds) if self.pending else 0
             yield test, Evaluation.joined([self._results.pop(part) for part in test.parts])
 
     def _play_here(self) -> None:
@@ -165,8 +168,8 @@ class PendingTests:
 
     def _tell(self, playing: int = 0) -> None:
         """Announce the finished episodes of pending tests; `playing`: those of the part that is played here."""
-        done = playing + sum(result.episodes for result in self._results.values())
-        self._writer.announce(self.activity, done, sum(len(test.seeds) for test in self.pending))
+        done = self._told + playing + sum(result.episodes for result in self._results.values())
+        self._writer.announce(self.activity, done, self._told + sum(len(test.seeds) for test in self.pending))
 
     def _parts(self, *, taken: bool = True) -> Iterator[DueEvaluation]:
         """The parts without a result, in order; `taken`: also those that a process plays."""

@@ -203,6 +203,8 @@ class Run:
                 self._judge(diverged, progress.steps)
                 diverged.clear()
             self._test(training, tests, due=testing)
+            if reported_at == training.steps:
+                self._checkpointer.reported(training)
             if self.stop.requested:
                 break
         if reported_at < training.steps:

@@ -49,6 +49,21 @@ def test_stop_during_demonstrations_leaves_a_checkpoint_and_they_are_collected_a
     assert_same_runs(run(tmp_path / "whole"), resumed)
 
 
+def test_a_run_that_ends_at_once_between_tests_that_are_far_apart_goes_on_from_a_checkpoint(tmp_path, monkeypatch):
+    monkeypatch.setattr("karolos.experiment.checkpointer.LONGEST_SECONDS", 0.0)
+    monkeypatch.setattr(writer, "ADVANCE_SECONDS", 0.0)
+
+    def end(event: object) -> None:
+        if isinstance(event, RunAdvanced) and event.steps >= 40:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "ended", listener=end)
+    (folder,) = map(RunFolder.open, (tmp_path / "ended").glob("*-s0-*"))
+    assert 30 <= checkpoint.read_meta(folder.checkpoints, "last")["steps"] < 40
+    assert_same_runs(run(tmp_path / "whole"), run(tmp_path / "ended", existing="resume"))
+
+
 def test_the_file_stop_ends_one_run_and_the_next_seed_goes_on(tmp_path, monkeypatch):
     monkeypatch.setattr("karolos.experiment.signals.LOOK_SECONDS", 0.0)
 
