@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from karolos.errors import NoSuchRunError, UsageError
+from karolos.report.tables import counted
 
 from .arguments import MANY_HELP, Database, Json, Runs, check_file, open_run, open_store
 from .completion import complete_policy, complete_run
@@ -133,7 +134,7 @@ def compare(
         say(f"wrote {path}")
     for folder in folders:
         files = write_figures([*chain(*drawings.values())], folder, width=width, font=font)
-        say(f"wrote {len(files)} files into {folder}")
+        say(f"wrote {counted(len(files), 'file')} into {folder}")
 
 
 def _runs_of(selector: str, store: Store | None, runs: Path) -> tuple[Store | None, tuple[RunSummary, ...]]:

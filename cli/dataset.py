@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 import typer
 
 from karolos.errors import UsageError
+from karolos.report.tables import counted
 
 from .arguments import Changes, Checkpoint, Database, Json, PolicyOrSpec, Runs, chosen_checkpoint, open_run
 from .output import print_rows, say, warn
@@ -179,6 +180,9 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
 
     from karolos.system.files import writing
 
+    if out.suffix in (".npz", ".parquet", ".hdf5", ".zip"):
+        hint = "--format karolos writes one .npz per episode into it" if out.suffix == ".npz" else None
+        raise UsageError("names a file, and a dataset is a folder", where=f"--out {out}", hint=hint)
     with writing(out):  # a file may be in the way
         if not out.exists() or not any(out.iterdir()):
             return
@@ -191,7 +195,7 @@ def _check_same(recording: RecordingFolder, about: dict[str, Any], out: Path) ->
     if changed:
         what = f"it holds the beginning of another dataset: {', '.join(changed)} differ"
         raise UsageError(what, where=str(out), hint="name another folder with --out")
-    say(f"{out} goes on after {len(recording.played())} episodes")
+    say(f"{out} goes on after {counted(len(recording.played()), 'episode')}")
 
 
 def _orchestrator(spec: Spec, recipe: Recipe, films: Path | None, about: dict[str, Any], *, expert: bool) -> Any:

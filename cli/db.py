@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from karolos.errors import StoreError
+from karolos.report.tables import counted
 
 from .arguments import Database, Json, Runs
 from .output import print_rows, say, warn
@@ -35,7 +36,7 @@ def _rebuild(store: Store, runs: Path) -> None:
     done = rebuild(store, runs)
     for problem in done.problems:
         warn(problem)
-    say(f"{done.runs} runs entered, {done.forgotten} forgotten")
+    say(f"{counted(done.runs, 'run')} entered, {done.forgotten} forgotten")
     if done.problems:
         raise typer.Exit(1)
 
@@ -50,7 +51,7 @@ def check(runs: Runs = Path("runs"), database: Database = None, json: Json = Fal
         found = [one.row() for one in differences(store, runs)]
     print_rows(found, json=json)
     if found:
-        say(f"{len(found)} difference{'s' * (len(found) > 1)}; `karolos db reindex` corrects the database, but changes no folder")
+        say(f"{counted(len(found), 'difference')}; `karolos db reindex` corrects the database, but changes no folder")
         raise typer.Exit(StoreError.exit_code)
     say("the database agrees with the run folders")
 

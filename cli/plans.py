@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from karolos.errors import KarolosError, UsageError
+from karolos.report.tables import counted
 
 from .arguments import (
     Database,
@@ -148,11 +149,12 @@ def report_best(sweep: SweepRecord) -> None:
     if final is not None:
         for place, name in enumerate(sweep.objectives):
             tuned, fresh = final.tuned[place], final.fresh[final.chosen][place]
-            line = f"{name}: {tuned:.4g} on the seeds of tuning, {fresh:.4g} on {len(final.seeds)} new seeds "
-            line += "of the choice"
+            line = f"{name}: {tuned:.4g} on the seeds of tuning, {fresh:.4g} on "
+            line += f"{counted(len(final.seeds), 'new seed')} of the choice"
             if final.reported is not None:
                 unused = final.reported[place]
-                line += f", {unused:.4g} on {len(final.report_seeds)} held-out seeds: gap {tuned - unused:+.4g}"
+                held_out = counted(len(final.report_seeds), "held-out seed")
+                line += f", {unused:.4g} on {held_out}: gap {tuned - unused:+.4g}"
             say(line)
     if path.is_file():
         say(f"`karolos run {path}` runs it; figures in {path.parent}")
@@ -177,8 +179,8 @@ def _print_samples(search: Search, *, json: bool) -> None:
             row |= {"problem": None} | ({"spec": made.dump()} if json else {})
         rows.append(row)
     print_rows(rows, json=json)
-    each = f"{len(search.sweep.seeds)} seeds of {search.spec.training.steps:,} steps each"
-    say(f"{search.asked} trials, {each}; nothing was run")
+    each = f"{counted(len(search.sweep.seeds), 'seed')} of {search.spec.training.steps:,} steps each"
+    say(f"{counted(search.asked, 'trial')}, {each}; nothing was run")
     if search.sweep.sampler in ("tpe", "gp") and search.asked > STARTUP_TRIALS:
         say(f"these are the first; from trial {STARTUP_TRIALS} on, values depend on results")
 

@@ -16,6 +16,7 @@ import typer
 from karolos.errors import UsageError
 from karolos.report.tables import (
     Table,
+    counted,
     csv_text,
     evaluations_table,
     facts_table,
@@ -323,7 +324,7 @@ def _relabel(
         if json:
             print_rows([folder.summary().row() for folder in folders], json=True)
             return
-    say(f"{changed} run{'s' if changed > 1 else ''} changed" if changed else f"nothing changed: {same}")
+    say(f"{counted(changed, 'run')} changed" if changed else f"nothing changed: {same}")
 
 
 @app.command("rm")
@@ -345,7 +346,7 @@ def remove(
         paths = trash.thrown_away(runs)
         for path in paths:
             trash.purge(path)
-        say(f"{len(paths)} runs removed for good")
+        say(f"{counted(len(paths), 'run')} removed for good")
         return
     store, found = select_runs(run or (), where, runs, database)
     with store:
@@ -435,7 +436,8 @@ def export_runs(
     exported = archive.export_runs(folders, file, checkpoints=checkpoints, source=not without_source)
     for name in exported.left_out:
         warn(f"{name}: not a file of a run; left out")
-    say(f"{len(folders)} runs, {exported.files} files, {file.stat().st_size / 1e6:.1f} MB in {file}")
+    counts = f"{counted(len(folders), 'run')}, {counted(exported.files, 'file')}"
+    say(f"{counts}, {file.stat().st_size / 1e6:.1f} MB in {file}")
     source = "" if without_source else "; uncommitted changes, commands and untracked names (--without-source: none)"
     say(f"it holds settings, results and events{' with checkpoints' * checkpoints}{source}; secrets as ***")
 

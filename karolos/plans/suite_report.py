@@ -26,6 +26,7 @@ from ..report.tables import (
     Table,
     against_first,
     count,
+    counted,
     decimals,
     duration,
     estimate,
@@ -232,7 +233,7 @@ def _measure(name: str, entry: Entry) -> str:
 def verdict(report: SuiteReport) -> str:
     """Summary of the suite, in a few sentences."""
     runs = [run.summary for entry in report.entries for run in entry.runs]
-    text = f"{len(runs)} runs took {count(sum(run.steps for run in runs))} environment steps"
+    text = f"{counted(len(runs), 'run')} took {count(sum(run.steps for run in runs))} environment steps"
     text += f" and {duration(sum(run.total_seconds or run.seconds for run in runs))}, tests included."
     if ends := [entry.scores.end.value for entry in report.entries if entry.scores.end is not None]:
         reached = [one.reaching.reached if one.reaching is not None else 0 for one in report.entries]

@@ -142,6 +142,11 @@ def count(value: float | None) -> str:
     return "-" if value is None else f"{value:,.0f}"
 
 
+def counted(number: int, noun: str) -> str:
+    """A number and its noun: 1 run, 2 runs."""
+    return f"{number:,} {noun}{'' if number == 1 else 's'}"
+
+
 def success(ratio: float | None, episodes: int | None) -> str:
     """A success ratio with its Wilson interval at 95 %: 0.97 [0.92, 0.99]; - without a test."""
     if ratio is None or not episodes:

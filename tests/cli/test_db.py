@@ -25,7 +25,7 @@ def test_reindex_rebuilds_what_was_removed_and_names_what_is_damaged(runs):
     told = karolos("db", "reindex", code=1).err
     assert f"warning: {first}: tests.jsonl:2: the last line is torn; left out" in told
     assert "run.json is damaged" in told
-    assert "1 runs entered, 0 forgotten" in told
+    assert "1 run entered, 0 forgotten" in told
     assert len(rows("runs", "list")) == 2  # damaged is not gone
 
 
@@ -69,7 +69,7 @@ def test_upgrade_has_nothing_to_do_for_this_schema_and_refuses_a_newer_one(runs)
         "UPDATE karolos_schema SET version = 10; ALTER TABLE runs DROP COLUMN 'commit';"
         "CREATE TABLE sweeps (sweep TEXT PRIMARY KEY); CREATE TABLE trials (sweep TEXT REFERENCES sweeps(sweep));",
     )
-    assert "1 runs entered, 0 forgotten" in karolos("db", "upgrade").err
+    assert "1 run entered, 0 forgotten" in karolos("db", "upgrade").err
     assert rows("runs", "list") == listed
     assert "nothing to do" in karolos("db", "upgrade").err
     changed(runs, "UPDATE karolos_schema SET version = version + 1")

@@ -93,6 +93,7 @@ def test_the_command_writes_a_card_and_refuses_another_dataset_in_its_folder(tmp
     assert call(app, *COMMAND, str(out / "README.md"))[2].endswith(
         "a file is in the way of a folder; name another folder\n"
     )
+    assert "set.npz: names a file, and a dataset is a folder" in call(app, *COMMAND, str(tmp_path / "set.npz"))[2]
     begun = tmp_path / "begun"
     call(app, *COMMAND, str(begun), "--format", "karolos")
     shutil.copytree(begun, tmp_path / "other" / ".recording")

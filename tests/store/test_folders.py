@@ -338,7 +338,7 @@ def test_a_run_that_the_database_refuses_is_named_and_the_others_are_entered(tmp
     code, _, told = call(db.app, "reindex", "--runs", str(tmp_path))
     assert code == 1
     assert "not this one" in told
-    assert "1 runs entered" in told
+    assert "1 run entered" in told
     assert call(db.app, "check", "--runs", str(tmp_path))[0] == 4
 
 
