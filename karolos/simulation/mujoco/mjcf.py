@@ -184,7 +184,8 @@ class _MjcfFile:
     def __init__(self, path: Path, root: Element, lines: dict[Element, int]) -> None:
         self._path = path
         for part in [*root.iter("include"), *root.iter("model")]:  # files that a run would not keep
-            raise PluginError(f"<{part.tag}> is not known to karolos", where=f"{path}:{lines[part]}", hint=ONE_FILE)
+            hint = f"if {part.get('file')} has the whole arm, name that file; else {ONE_FILE}"
+            raise PluginError(f"<{part.tag}> is not known to karolos", where=f"{path}:{lines[part]}", hint=hint)
         self.spec = self._tried(lambda: mujoco.MjSpec.from_file(str(path)))
         self._meshes: dict[str, tuple[Path, float]] = {}
         """File and scale of the meshes that shapes use."""
