@@ -199,8 +199,12 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     base = f'<body name="base"><geom size="0.05"/>{mjcf_arm("", lambda torque: "")}</body>'
     cube = '<body name="cube" pos=".5 0 .02"><freejoint/><geom size=".02"/><body><geom size=".01"/></body></body>'
     target = '<body name="target" mocap="true" pos=".5 0 .2"><geom size=".02" contype="0" conaffinity="0"/></body>'
-    world = f"<worldbody>{cube}{base}{target}</worldbody>"
-    path = write(arm.parent, "arm.xml", f"<mujoco>{world}<actuator>{''.join(motors)}</actuator></mujoco>")
+    write(
+        arm.parent, "arm.xml", f"<mujoco><worldbody>{base}</worldbody><actuator>{''.join(motors)}</actuator></mujoco>"
+    )
+    scene = '<mujoco><include file="arm.xml"/><worldbody>{}<geom type="plane" size="1 1 .1"/></worldbody></mujoco>'
+    path = write(arm.parent, "scene.xml", scene.format(cube + target))
+    before = spec_in(arm.parent, "{name: urdf, file: scene.xml}").hash()
     robot = robot_of(path, gripper="robotiq_2f85", mass=9.0)
     assert robot.limits.effort == tuple(float(torque) for *_, torque in LINKS)
     assert set(robot.limits.velocity) == {USUAL_SPEED}
@@ -209,6 +213,8 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     masses = [urdf.inertia_of(link)[0] for link in urdf.read(robot.model.urdf).findall("link")]
     assert sum(masses) == pytest.approx(9.0)
     assert any("MJCF has no speeds" in note for note in proposal_of(robot.settings).notes)
+    edit(arm.with_name("arm.xml"), 'size="0.05"', 'size="0.06"')
+    assert spec_in(arm.parent, "{name: urdf, file: scene.xml}").hash() != before, "the included file belongs to it"
 
 
 def test_one_of_two_arms_in_an_mjcf_file_is_chosen_by_its_tool_and_a_mesh_that_is_only_drawn_is_not_read(arm):

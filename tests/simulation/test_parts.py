@@ -342,7 +342,8 @@ def test_an_arm_of_mjcf_is_where_its_own_compiler_has_it_and_weighs_as_much(tmp_
 @pytest.mark.parametrize(
     ("old", "new", "said"),
     [
-        ("<frame pos", '<include file="b.xml"/><frame pos', "xml:7: <include> is not known to karolos; if b.xml has"),
+        ("<frame pos", '<include file="b.xml"/><frame pos', "xml: include: MuJoCo refuses it: Error opening file"),
+        ("<frame pos", '<model file="b.xml"/><frame pos', "xml:7: <model> is not known to karolos; mujoco writes"),
         ('type="slide" ref=".03" range="-1 1"', 'type="ball"', "xml:8: joint j2: a ball joint; joints of an arm are"),
         (
             'name="j3"',

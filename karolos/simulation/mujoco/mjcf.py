@@ -4,7 +4,7 @@ Classes, frames, orientations, copies, masses and inertias are therefore those o
 (contype and conaffinity 0) do not collide, but have a mass. Materials, cameras, lights, sites, sensors, options and the
 parameters of the solver are left out. Karolos refuses parts that it cannot simulate, and names their line:
 
-* `<include>`, `<model>`, and geoms other than box, sphere, cylinder, capsule, and mesh with one scale for all axes;
+* `<model>`, and geoms other than box, sphere, cylinder, capsule, and mesh with one scale for all axes;
 * in a fixture or object: more than one body in `<worldbody>`, a moving body without exactly one hinge or slide with a
   range, springs, armature, `ref`, gravity compensation, actuators, tendons, equalities, pairs and excludes of contacts;
 * in an arm: a ball joint, and several joints of one body.
@@ -183,9 +183,10 @@ class _MjcfFile:
 
     def __init__(self, path: Path, root: Element, lines: dict[Element, int]) -> None:
         self._path = path
-        for part in [*root.iter("include"), *root.iter("model")]:  # files that a run would not keep
-            hint = f"if {part.get('file')} has the whole arm, name that file; else {ONE_FILE}"
-            raise PluginError(f"<{part.tag}> is not known to karolos", where=f"{path}:{lines[part]}", hint=hint)
+        for part in root.iter("model"):  # its meshes have places of their own
+            raise PluginError("<model> is not known to karolos", where=f"{path}:{lines[part]}", hint=ONE_FILE)
+        self._has_lines = next(root.iter("include"), None) is None
+        """Whether the lines that MuJoCo names are those of this file."""
         self.spec = self._tried(lambda: mujoco.MjSpec.from_file(str(path)))
         self._meshes: dict[str, tuple[Path, float]] = {}
         """File and scale of the meshes that shapes use."""
@@ -251,7 +252,7 @@ class _MjcfFile:
 
     def error(self, element: Any, what: str, hint: str | None = None) -> PluginError:
         """The error of an element of the file."""
-        line = "".join(f":{number}" for number in re.findall(r"line (\d+)", element.info)[:1])
+        line = "".join(f":{number}" for number in re.findall(r"line (\d+)", element.info)[: self._has_lines])
         kind = type(element).__name__.removeprefix("Mjs").lower()
         return PluginError(what, where=f"{self._path}{line}: {kind} {element.name}".strip(), hint=hint)
 
@@ -266,7 +267,7 @@ class _MjcfFile:
             form = r"(?:XML )?(?:Error: )*(.*?),?(?: Element (?:name )?'(.*?)'.*?)?(?: line (\d+).*)?"
             found = re.fullmatch(form, " ".join(str(error).split()))
             what, name, line = found.groups() if found else (str(error), None, None)
-            where = f"{self._path}:{line}" if line else str(self._path)
+            where = f"{self._path}:{line}" if line and self._has_lines else str(self._path)
             raise PluginError(f"MuJoCo refuses it: {what}", where=f"{where}: {name}" if name else where) from None
         finally:
             mujoco.set_mju_user_warning(before)
