@@ -7,8 +7,9 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
-from math import atan2, dist, inf, sqrt
+from math import atan2, dist, floor, inf, sqrt
 from operator import mul, truediv
 from typing import Any, ClassVar
 
@@ -24,6 +25,7 @@ from ..simulation.interface import OPENS, Ability, Body, Cup, Gripper, JointLimi
 from ..simulation.kinematics import Chain, Configuration, Pose, downward
 from ..simulation.parts import Mechanism
 from .control import CONTROLS, POSTURE_GAIN, ROTATION, Control, Way
+from .loads import MotorLoads
 from .model import ACCELERATION_TIME, ArmModel, arm_joints, check_model
 from .mounting import mounted
 from .protective_stop import Guard, ProtectiveStop
@@ -39,6 +41,9 @@ DAMPED_SHARE = 0.4
 """Largest fraction of a motor's torque that joint_damping takes at the top speed of its joint. A motor that lacks half
 its torque (joint_friction) still reaches that speed. Above it PyBullet, which damps explicitly, is unstable at light
 wrists."""
+HELD, RANGE_STEP = 0.97, 0.05
+"""Largest fraction of a motor's torque with which it surely holds the arm. Upper bounds that follow from it are
+multiples of the second number."""
 SPRING_FRICTION = RandomizedParameter(
     "1", 0.0, 0.0, 0.02, "dry friction of every joint: fraction of its largest torque"
 )
@@ -191,12 +196,22 @@ class Arm:
         turns = (self.model.tilt, self.model.turn) if self._control.turns_tool else (0.0, 0.0)
         self.orientations = Orientations(downward(self.home, self.home_yaw).orientation, *turns)
 
+    @cached_property
+    def _weight(self) -> float:
+        """Largest fraction of a motor's torque that gravity takes at home, but at least .1."""
+        return max(0.1, float(MotorLoads(self.model.description).shares([self.model.home]).max()))
+
     @property
     def parameters(self) -> Mapping[str, RandomizedParameter]:
         limits = zip(self.limits.effort, self.limits.velocity, strict=True)
         most = min(LARGEST_DAMPING, DAMPED_SHARE * min(effort / speed for effort, speed in limits))
         damping = RandomizedParameter("N m s/rad", 0.0, 0.0, most, "viscous friction that is added to every joint")
         parameters = {"joint_damping": damping, **ARM_PARAMETERS}
+        weight = self._weight  # with more friction or mass the arm would sink
+        for name, most in (("joint_friction", max(1 - weight, RANGE_STEP)), ("link_mass", max(HELD / weight, 1.0))):
+            usual = parameters[name]
+            high = min(usual.high, round(floor(most / RANGE_STEP) * RANGE_STEP, 2))
+            parameters[name] = replace(usual, high=high)
         drawn = drawn_settings(self.settings)
         delay = drawn.pop("gripper_delay")
         if self.mode == "impedance":

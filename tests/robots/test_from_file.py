@@ -217,6 +217,12 @@ def test_an_mjcf_file_is_an_arm_with_the_torques_of_its_actuators_and_the_mass_o
     assert spec_in(arm.parent, "{name: urdf, file: scene.xml}").hash() != before, "the included file belongs to it"
 
 
+def test_friction_and_mass_of_an_arm_that_is_heavy_for_its_motors_vary_only_while_it_can_hold_itself(arm):
+    for mass, friction, most in ((9.0, 0.5, 2.0), (60.0, 0.3, 1.45)):
+        parameters = robot_of(arm, mass=mass).parameters
+        assert (parameters["joint_friction"].high, parameters["link_mass"].high) == (friction, most)
+
+
 def test_one_of_two_arms_in_an_mjcf_file_is_chosen_by_its_tool_and_a_mesh_that_is_only_drawn_is_not_read(arm):
     limit = 'actuatorfrcrange="-{0} {0}"'.format
     drawn = '<geom type="mesh" mesh="mirrored" contype="0" conaffinity="0"/><geom size="0.05"/>'
