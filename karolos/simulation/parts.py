@@ -132,8 +132,8 @@ def link_element(
     return link
 
 
-def _mesh(path: Path, scale: float) -> Element:
-    return Element("mesh", filename=str(path), scale=_text([scale] * 3))
+def _mesh(path: Path, scale: float | Vector) -> Element:
+    return Element("mesh", filename=str(path), scale=_text(scale if isinstance(scale, tuple) else [scale] * 3))
 
 
 def _geometry(shape: Shape) -> Element:

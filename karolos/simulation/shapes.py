@@ -30,7 +30,8 @@ class Shape(ABC):
     def __post_init__(self) -> None:
         for name in ("size", "radius", "length", "scale", "position", "orientation"):
             value, least = getattr(self, name, 1.0), LEAST_SIZE if name in _SIZES else -LARGEST_SIZE
-            if not all(least <= number <= LARGEST_SIZE for number in np.ravel(value)):
+            numbers = np.abs(value) if name == "scale" else np.ravel(value)  # a negative scale mirrors
+            if not all(least <= number <= LARGEST_SIZE for number in np.ravel(numbers)):
                 what, hint = f"{type(self).__name__}: {name} {value}", f"{least:g} to {LARGEST_SIZE:g} m"
                 raise UsageError(what, hint=hint)
         if not any(self.orientation):
@@ -94,6 +95,8 @@ class Capsule(Shape):
 class Mesh(Shape):
     """A part from an STL, OBJ or Collada file, multiplied by `scale`: with .001 the file is in millimetres.
 
+    `scale` may have a factor for each axis; a negative one mirrors the part.
+
     Mass and inertia follow from the enclosed volume or, with a warning, from the convex hull. Collision shapes are
     convex. For a mesh that is not convex, `collision` chooses its convex hull, or the convex pieces that the package
     coacd finds (`pip install 'karolos[parts]'`). The pieces follow the mesh to about 2 % of its size. This is too
@@ -104,7 +107,7 @@ class Mesh(Shape):
     """
 
     path: Path
-    scale: float = 1.0
+    scale: float | Vector = 1.0
     collision: meshes.Collision | None = None
     """None: convex hull, with a warning if it fills a hole or a hollow."""
 
@@ -115,7 +118,10 @@ class Mesh(Shape):
 
     def solid(self) -> tuple[float, Array, Array]:
         volume, centre, tensor, *_ = meshes.solid(self.path)
-        return volume * self.scale**3, centre * self.scale, tensor * self.scale**2
+        scale = np.broadcast_to(self.scale, 3)
+        moments = np.trace(tensor) / 2 * np.eye(3) - tensor  # means of x x, x y, ...
+        moments = scale[:, None] * moments * scale
+        return volume * abs(float(np.prod(scale))), centre * scale, np.trace(moments) * np.eye(3) - moments
 
     def pieces(self) -> tuple[Path, ...]:
         """Files of the convex pieces, in the unit of the file."""

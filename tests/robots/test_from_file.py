@@ -245,7 +245,7 @@ def test_one_of_two_arms_in_an_mjcf_file_is_chosen_by_its_tool_and_a_mesh_that_i
         ('file="elsewhere/mark.obj"', None),
         ('file="MARK.obj"', "there is no file .*MARK.obj"),
         ('file="mark.msh"', r"it is no file of \.stl, \.obj, \.dae; convert it"),
-        ('file="mark.obj" scale="1 -1 1"', "several scales; apply them to its file"),
+        ('file="mark.obj" refpos="0 0 1"', "it has refpos or refquat; apply them to its file"),
         ('file="mark.obj" scale="1000 1000 1000"', r'mark\.obj: a part of 10 m; in millimetres\? set scale="0.001'),
         ('file="label.obj"', None),
     ],

@@ -29,13 +29,15 @@ def corner(tmp_path: Path) -> Path:
     return prism(tmp_path / "corner.stl", L, 20.0)
 
 
-def test_mass_and_inertia_of_a_mesh_are_those_of_what_it_encloses(corner):
+@pytest.mark.parametrize("scale", [0.001, (0.001, -0.001, 0.003)])
+def test_mass_and_inertia_of_a_mesh_are_those_of_what_it_encloses(corner, scale):
+    _, y, z = 1000 * np.broadcast_to(scale, 3)
     legs = [
-        Cuboid((0.06, 0.02, 0.02), position=(0.03, 0.01, 0.01)),
-        Cuboid((0.02, 0.04, 0.02), position=(0.01, 0.04, 0.01)),
+        Cuboid((0.06, 0.02, 0.02 * z), position=(0.03, 0.01 * y, 0.01 * z)),
+        Cuboid((0.02, 0.04, 0.02 * z), position=(0.01, 0.04 * y, 0.01 * z)),
     ]
-    mesh = [Mesh(corner, 0.001, collision="convex")]
-    assert volume_of(mesh) == pytest.approx(volume_of(legs)) == pytest.approx(4e-5)
+    mesh = [Mesh(corner, scale, collision="convex")]
+    assert volume_of(mesh) == pytest.approx(volume_of(legs)) == pytest.approx(4e-5 * z)
     one, other = inertia_of(mesh, 0.3), inertia_of(legs, 0.3)
     assert one.centre == pytest.approx(other.centre)
     assert one.moments == pytest.approx(other.moments)
@@ -164,19 +166,20 @@ def test_a_file_that_is_edited_is_read_again(tmp_path):
         assert urdf.load(drawer, driven=False).joints[0].upper == size
 
 
+@pytest.mark.parametrize("side", [1, -1])
 @pytest.mark.parametrize("engine", ENGINES)
-def test_a_mesh_falls_and_rests_as_its_hull(engine, corner):
-    """The L lies on its two tips: the side that only its hull has."""
+def test_a_mesh_falls_and_rests_as_its_hull(engine, side, corner):
+    """The L, or its mirror image, lies on its two tips: the side that only its hull has."""
     world = empty(engine)
-    body = world.body([Mesh(corner, 0.001, collision="convex")], 0.2, RED)
+    body = world.body([Mesh(corner, (0.001, side * 0.001, 0.001), collision="convex")], 0.2, RED)
     half = 0.5**0.5
     # 45 degrees about z, then 90 about y: its tips are down
-    standing = multiply(rotation_about((0.0, np.pi / 2, 0.0)), rotation_about((0.0, 0.0, -np.pi / 4)))
+    standing = multiply(rotation_about((0.0, np.pi / 2, 0.0)), rotation_about((0.0, 0.0, -side * np.pi / 4)))
     body.place((0.0, 0.0, 0.08), standing)
     run(world, 36)
     position, turn = body.pose()
     assert position[2] == pytest.approx(0.08 * half, abs=1.5e-3)
-    assert matrix_of(turn) @ [half, half, 0.0] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
+    assert matrix_of(turn) @ [half, side * half, 0.0] == pytest.approx([0.0, 0.0, -1.0], abs=0.02)
     assert sum(world.forces(body).values()) == pytest.approx(0.2 * 9.81, rel=0.1)
 
 
@@ -337,6 +340,25 @@ def test_an_arm_of_mjcf_is_where_its_own_compiler_has_it_and_weighs_as_much(tmp_
     assert [joint.effort for joint in found.joints] == [87.0, 12.0, 0.0]
     assert [joint.velocity for joint in found.joints] == [2.0, 0.1, 2.0]
     assert (found.joints[0].lower, found.joints[2].upper) == pytest.approx((np.radians(-100), 2 * np.pi))
+
+
+def test_a_mirrored_and_stretched_mesh_of_mjcf_is_where_mujoco_has_it(corner, tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    mesh = f'<asset><mesh name="m" file="{corner}" scale=".001 -.002 .003"/></asset>'
+    geom = '<geom type="mesh" mesh="m" pos=".1 .2 .3" euler="10 20 30"/>'
+    (path := tmp_path / "arm.xml").write_text(
+        f"<mujoco>{mesh}<worldbody><body name='b'>{geom}</body></worldbody></mujoco>"
+    )
+    model = mujoco.MjModel.from_xml_path(str(path))
+    there = model.mesh_vert @ matrix_of(np.roll(model.geom_quat[0], -1)).T + model.geom_pos[0]
+    [shape] = fixtures.arm(path, 2.0, 0.1).findall("link[@name='b']/collision")
+    scale, place, angles = (
+        np.array(shape.find(name).get(key).split(), float)
+        for name, key in (("geometry/mesh", "scale"), ("origin", "xyz"), ("origin", "rpy"))
+    )
+    turn = urdf.rotation_matrix(*angles)
+    found = (meshes.triangles(corner).reshape(-1, 3) * scale) @ turn.T + place
+    assert np.unique(found.round(6), axis=0) == pytest.approx(np.unique(there.round(6), axis=0), abs=2e-6)
 
 
 @pytest.mark.parametrize(

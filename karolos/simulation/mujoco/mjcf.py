@@ -4,7 +4,7 @@ Classes, frames, orientations, copies, masses and inertias are therefore those o
 (contype and conaffinity 0) do not collide, but have a mass. Materials, cameras, lights, sites, sensors, options and the
 parameters of the solver are left out. Karolos refuses parts that it cannot simulate, and names their line:
 
-* `<model>`, and geoms other than box, sphere, cylinder, capsule, and mesh with one scale for all axes;
+* `<model>`, and geoms other than box, sphere, cylinder, capsule, and mesh;
 * in a fixture or object: more than one body in `<worldbody>`, a moving body without exactly one hinge or slide with a
   range, springs, armature, `ref`, gravity compensation, actuators, tendons, equalities, pairs and excludes of contacts;
 * in an arm: a ball joint, and several joints of one body.
@@ -29,7 +29,7 @@ import numpy as np
 from ...core import Array
 from ...errors import PluginError, UsageError
 from .. import meshes, urdf
-from ..geometry import Quaternion, matrix_of, quaternion_of, vector
+from ..geometry import Quaternion, Vector, matrix_of, quaternion_of, vector
 from ..parts import GREY, Link, Mechanism, link_element, mechanism, place_element
 from ..shapes import Capsule, Cuboid, Cylinder, Inertia, Mesh, Shape, Sphere
 
@@ -188,7 +188,7 @@ class _MjcfFile:
         self._has_lines = next(root.iter("include"), None) is None
         """Whether the lines that MuJoCo names are those of this file."""
         self.spec = self._tried(lambda: mujoco.MjSpec.from_file(str(path)))
-        self._meshes: dict[str, tuple[Path, float]] = {}
+        self._meshes: dict[str, tuple[Path, Vector]] = {}
         """File and scale of the meshes that shapes use."""
         self._keep_what_is_used()
         self._model = self._tried(self.spec.compile)
@@ -286,7 +286,7 @@ class _MjcfFile:
             if problem := _unusable(mesh, file):
                 problems[mesh.name] = problem
             else:
-                self._meshes[mesh.name] = file, float(mesh.scale[0])
+                self._meshes[mesh.name] = file, vector(mesh.scale)
         for body in spec.bodies:
             geoms = list(body.geoms)
             solid = [geom for geom in geoms if geom.contype or geom.conaffinity] or geoms
@@ -371,8 +371,8 @@ def _unusable(mesh: Any, file: Path) -> str:
         return f"it is no file of {', '.join(meshes.MESH_SUFFIXES)}; convert it"
     if not file.is_file():
         return f"there is no file {file}"
-    if np.ptp(mesh.scale) or np.any(mesh.refpos) or abs(mesh.refquat[0]) != 1:
-        return "it has refpos, refquat, or several scales; apply them to its file, and leave them out"
+    if np.any(mesh.refpos) or abs(mesh.refquat[0]) != 1:
+        return "it has refpos or refquat; apply them to its file, and leave them out"
     try:
         meshes.check_size(file, mesh.scale.tolist())
     except PluginError as error:  # which does not know the line
