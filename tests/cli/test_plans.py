@@ -43,7 +43,7 @@ def test_a_dry_run_prints_specs_and_runs_nothing(home):
     assert len(found) == 3
     for row in found:
         assert spec_from_dict(row["spec"]).agent.settings.learning_rate == row["agent.learning_rate"]
-    assert "3 trials, 1 seeds of 200 steps each" in told.err
+    assert "3 trials, 1 seed of 200 steps each" in told.err
     assert not (home / "runs").exists()
 
 
